@@ -31,6 +31,8 @@ STATE_SENSORS: tuple[Kind, ...] = ("encoder", "velocity")
 """Sensors from which joint state is estimated."""
 IMU_SENSORS: tuple[Kind, ...] = ("gyro", "accelerometer")
 """Sensors from which a floating base is estimated, with its feet."""
+JOINTS_MAX = 128
+"""Joints of a robot and of its model: the memory of a nominal model grows with their cube, here to 0.14 GB."""
 MODEL = "model.xml"
 """Default file name of the model."""
 ModelName = Annotated[
@@ -73,7 +75,7 @@ class RobotSpec(Strict):
     base: Base | None = None
     sensors: Sensors
     motors: dict[Name, Motor]
-    joints: Annotated[tuple[Joint, ...], Field(min_length=1)]
+    joints: Annotated[tuple[Joint, ...], Field(min_length=1, max_length=JOINTS_MAX)]
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -1,8 +1,8 @@
 """Jerk-limited trajectories of Ruckig for many robots: those that they track, and the stops that could begin.
 
-One Ruckig instance plans the joints of `BLOCK` robots in one call; more robots use it one block after another, whose
-working memory stays in the cache. Ruckig plans each joint for itself and remembers nothing between plans, so a robot's
-bits depend on no neighbour, and a resumed run repeats them.
+One Ruckig instance plans the joints of up to `BLOCK` robots in one call; more robots use it one block after another,
+whose working memory stays in the cache. Ruckig plans each joint for itself and remembers nothing between plans, so a
+robot's bits depend on no neighbour, and a resumed run repeats them.
 """
 
 import struct
@@ -29,7 +29,7 @@ class _BlockPlans:
     """A trajectory for each block of robots, or for each robot of a block that Ruckig cannot plan as a whole."""
 
     def __init__(self, spec: RobotSpec, robots: int, planner: type[RuckigPlanner] = RuckigPlanner) -> None:
-        self._rows, self._n, self._robots = block_rows(robots), spec.n, robots
+        self._rows, self._n, self._robots = block_rows(robots, spec.n), spec.n, robots
         self._dt, self._horizon = spec.dt, horizon_s(spec)
         self._block, self._single = planner(spec, self._rows[0].stop), planner(spec, 1)
 

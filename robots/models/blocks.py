@@ -6,14 +6,17 @@ from robots.arrays import Floats
 
 BLOCK = 16
 """Robots in one call: enough to share its cost, few enough that its working memory stays in the cache."""
+JOINTS = 192
+"""Joints in one call, of all of its robots: Pinocchio's memory grows with their cube, here to 0.5 GB."""
 
 
-def block_rows(robots: int) -> list[slice]:
-    """Return the rows of each block, all of one width.
+def block_rows(robots: int, n: int) -> list[slice]:
+    """Return the rows of each block, all of one width, of robots with n ≤ `JOINTS` joints.
 
     The last may repeat robots of the one before: a robot's result depends on no neighbour, so it is the same again.
     """
-    width = -(-robots // -(-robots // BLOCK))
+    most = min(BLOCK, JOINTS // n)
+    width = -(-robots // -(-robots // most))
     return [slice(start, start + width) for start in (*range(0, robots - width, width), robots - width)]
 
 

@@ -11,7 +11,7 @@ from robots.contacts import GOAL, WORLD
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
 from robots.models.mjcf_places import inherit_places, temporary_model
-from robots.spec import RobotSpec
+from robots.spec import JOINTS_MAX, RobotSpec
 from robots.tables import Capsule
 
 Read = tuple[pin.Model, pin.GeometryModel]
@@ -31,6 +31,7 @@ def read_pinocchio(spec: RobotSpec) -> Read:
     """
     path = spec.model_path
     referenced_files(path, spec.folder)
+    _check_joints(path)
     try:
         model, geometry = _read_urdf(spec) if is_urdf(path) else _read_mjcf(spec)
     except (ValueError, RuntimeError, LookupError) as e:  # LookupError: a class that it does not know
@@ -45,6 +46,13 @@ def read_pinocchio(spec: RobotSpec) -> Read:
         geometry = _capsules(spec, model, geometry)
     _add_rotors(spec, model)
     return _from_base(spec, model, geometry)
+
+
+def _check_joints(path: Path) -> None:
+    """Refuse (RobotError) too many joints, locked ones included, for which Pinocchio takes memory as it reads."""
+    joints = read_xml(path).findall("joint" if is_urdf(path) else "worldbody//joint")
+    if (found := sum(joint.get("type") != "fixed" for joint in joints)) > JOINTS_MAX:
+        raise RobotError(f"{path}: found {found} joints, expected at most {JOINTS_MAX}")
 
 
 def _read_mjcf(spec: RobotSpec) -> Read:

@@ -6,7 +6,7 @@ import pytest
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
-from robots.spec import RobotSpec, load_robot
+from robots.spec import JOINTS_MAX, RobotSpec, load_robot
 from support.arm6 import ARM, NO_CLEARANCE, NO_TOOL, NO_WORKSPACE, SPEC, complaint, copy_of_arm
 from support.paths import TEST_ROBOTS
 
@@ -228,6 +228,14 @@ def test_a_robot_without_joints(tmp_path):
     text = (folder / "robot.toml").read_text()
     (folder / "robot.toml").write_text("joints = []\n" + text[: text.index("[[joints]]")])
     assert "joints" in complaint(folder)
+
+
+def test_a_robot_with_too_many_joints(tmp_path):
+    folder = copy_of_arm(tmp_path)
+    path = folder / "robot.toml"
+    head, *joints = re.split(r"(?m)^(?=\[\[joints\]\])", path.read_text())
+    path.write_text(head + joints[1] * (JOINTS_MAX + 1))
+    assert re.search(r"robot\.toml: joints: Tuple should have at most 128 items", complaint(folder))
 
 
 def test_a_robot_file_that_is_a_folder(tmp_path):

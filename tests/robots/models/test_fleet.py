@@ -10,7 +10,7 @@ from robots.models.collisions import collision_pairs
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.models.tool_jacobian import find_manipulability
-from robots.spec import load_robot
+from robots.spec import JOINTS_MAX, load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.robots.model_files import POST
 
@@ -365,6 +365,17 @@ def test_a_wrong_model_is_one_clear_error(tmp_path, load, toml, xml, words):
             loader(spec)
         for word in words:
             assert word in str(caught.value)
+
+
+def test_too_many_joints_of_a_model_are_refused_before_they_take_memory(tmp_path):
+    """Locked ones count, for Pinocchio removes them from a model that has them."""
+    names = [f"finger_{number}" for number in range(JOINTS_MAX - N + 1)]
+    hand = "".join(f'<body><joint name="{name}"/><geom size="0.01"/></body>' for name in names)
+    folder = copy_of_arm(
+        tmp_path, toml=[("\ntool", f"\nlocked = {names}\ntool")], xml=[('<site name="tool"', hand + r"\g<0>")]
+    )
+    with pytest.raises(RobotError, match=r"model\.xml: found 129 joints, expected at most 128"):
+        load_pinocchio(load_robot(folder))
 
 
 @pytest.mark.parametrize("loader", [load_mujoco, load_pinocchio])
