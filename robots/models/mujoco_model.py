@@ -26,6 +26,22 @@ ITERATIONS = (
 """Options that multiply the time of a step."""
 ITERATIONS_MAX = 1000
 """Ten times MuJoCo's default of its solver: a step of more would go on for hours, deaf to Ctrl-C."""
+PHYSICS = (
+    "constraint",
+    "equality",
+    "frictionloss",
+    "limit",
+    "contact",
+    "spring",
+    "damper",
+    "gravity",
+    "clampctrl",
+    "actuation",
+    "sensor",
+)
+"""Flags that must stay enabled: without one of them a robot that would break or fall passes every test."""
+UNSUITABLE = ("override", "sleep", "ipc")
+"""Flags that must stay disabled: one undoes the drawn friction of contacts, a `Batch` has no state for the others."""
 SIZE_MIB = 256
 """Memory of a compiled model. The H1 with 14 MB of meshes needs 65 MiB, a robot with 50 MB of meshes 188 MiB."""
 WORKING_MEMORY = 15 << 20
@@ -92,9 +108,10 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
     """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to.
 
     Raises:
-        RobotError: MuJoCo cannot read it, or it lacks a part that robot.toml names.
+        RobotError: MuJoCo cannot read it, it changes the physics, or it lacks a part that robot.toml names.
     """
     mjcf = open_model(spec.model_path, spec.folder)
+    _check_flags(mjcf, spec.model_path)
     if spec.base and is_urdf(spec.model_path):  # URDF cannot declare a free root
         mjcf.worldbody.bodies[0].add_freejoint()
     mjcf.option.timestep = 1.0 / spec.rates.physics_hz
@@ -111,6 +128,16 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
     if spec.tool and mjcf.site(spec.tool) is None and (body := mjcf.body(spec.tool)) is not None:
         body.add_site(name=spec.tool)
     return mjcf
+
+
+def _check_flags(mjcf: mujoco.MjSpec, model: Path) -> None:
+    """Refuse (RobotError) flags that change the physics. Drafts can be made from such a model, simulations cannot."""
+    for name in PHYSICS:
+        if mjcf.option.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name.upper()}"):
+            raise RobotError(f"{model}: option flag {name}: found 'disable', expected 'enable'")
+    for name in UNSUITABLE:
+        if mjcf.option.enableflags & getattr(mujoco.mjtEnableBit, f"mjENBL_{name.upper()}"):
+            raise RobotError(f"{model}: option flag {name}: found 'enable', expected 'disable'")
 
 
 def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:

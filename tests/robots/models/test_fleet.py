@@ -17,6 +17,8 @@ from support.robots.model_files import POST
 mujoco = pytest.importorskip("mujoco")
 load_mujoco = pytest.importorskip("robots.models.mujoco_model").load_mujoco
 
+from robots.models.mujoco_model import PHYSICS, UNSUITABLE
+
 STATES = 2000
 N = SPEC.n
 LOW, HIGH = SPEC.joint_array("q_min"), SPEC.joint_array("q_max")
@@ -376,6 +378,24 @@ def test_too_many_joints_of_a_model_are_refused_before_they_take_memory(tmp_path
     )
     with pytest.raises(RobotError, match=r"model\.xml: found 129 joints, expected at most 128"):
         load_pinocchio(load_robot(folder))
+
+
+@pytest.mark.parametrize(
+    ("flag", "found", "expected"),
+    [
+        *((flag, "disable", "enable") for flag in PHYSICS),
+        *((flag, "enable", "disable") for flag in UNSUITABLE),
+    ],
+)
+def test_a_flag_that_changes_the_physics_is_refused(tmp_path, flag, found, expected):
+    def robot(value):
+        option = f'<option><flag {flag}="{value}"/></option>'
+        return load_robot(copy_of_arm(tmp_path / value, xml=[("</mujoco>", rf"{option}\g<0>")]))
+
+    with pytest.raises(RobotError) as caught:
+        load_mujoco(robot(found))
+    assert f"model.xml: option flag {flag}: found '{found}', expected '{expected}'" in str(caught.value)
+    assert load_mujoco(robot(expected)).njnt == N
 
 
 @pytest.mark.parametrize("loader", [load_mujoco, load_pinocchio])
