@@ -143,19 +143,22 @@ def raised_again() -> Iterator[None]:
 class Interrupts:
     """Signal handler: until a run begins any signal raises KeyboardInterrupt; from then on it is left to the tick.
 
-    In a run only a second Ctrl-C raises KeyboardInterrupt, once: a service manager, a closing terminal or a timer may
-    send several signals.
+    In a run only a second Ctrl-C raises KeyboardInterrupt: a service manager, a closing terminal or a timer may send
+    several signals. So does every later one, since Python may have dropped it, until the run has ended: from then on
+    none does, so that files are completed.
 
     Attributes:
-        running: set when a run begins. count: number of signals.
+        running: set when a run begins. ended: set when it has ended, as by a KeyboardInterrupt that arrived.
+        count: number of signals.
     """
 
     def __init__(self) -> None:
-        self.running, self.count, self._ctrl_c = False, 0, 0
+        self.running, self.ended, self.count, self._ctrl_c = False, False, 0, 0
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal."""
         self.count += 1
         self._ctrl_c += number == signal.SIGINT
-        if not self.running or (number == signal.SIGINT and self._ctrl_c == 2):
+        cuts = number == signal.SIGINT and self._ctrl_c >= 2 and not self.ended
+        if not self.running or cuts:
             raise KeyboardInterrupt

@@ -51,7 +51,7 @@ class RobotRun:
     ) -> None:
         """Take a disarmed runtime and the s of robot time from arming to the stop; watchers see each finished tick.
 
-        A signal that `interrupts` has counted asks for the stop.
+        A signal that `interrupts` has counted asks for the stop; they are told when the run has ended.
         """
         self.runtime, self.timing, self.recorder = runtime, timing, recorder
         self.statistics, self._interrupts = RunStatistics(), interrupts
@@ -82,10 +82,12 @@ class RobotRun:
             if self._armed():
                 self._work()
         except BaseException:
+            self._interrupts.ended = True  # first: no Ctrl-C shall keep power on
             self.runtime.robot.stop(self._all)
             self.ending = Ending.FAILED
             self.recorder.event()
             raise
+        self._interrupts.ended = True
         self.ending = self._final_ending()
         return self.ending
 

@@ -11,7 +11,7 @@ from threading import Thread
 
 import pytest
 
-from deploy.operation.interrupts import handled, held_back, interrupt, not_dropped, raised_again
+from deploy.operation.interrupts import Interrupts, handled, held_back, interrupt, not_dropped, raised_again
 
 REQUESTS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 
@@ -125,6 +125,28 @@ def test_a_request_that_python_drops_is_raised_again_where_ctrl_c_is_ignored():
     ignored, requests = handled(signal.SIG_IGN, [signal.SIGINT]), handled(interrupt, [signal.SIGTERM])
     with pytest.raises(KeyboardInterrupt), ignored, requests, raised_again():
         die_and_wait(signal.SIGTERM)
+
+
+def test_a_second_ctrl_c_that_python_drops_is_raised_again():
+    interrupts = Interrupts()
+    interrupts.running = True
+    interrupts(signal.SIGINT, None)
+    with pytest.raises(KeyboardInterrupt), handled(interrupts), raised_again():
+        die_and_wait(signal.SIGINT)
+
+
+def test_every_further_ctrl_c_raises_until_the_run_has_ended():
+    interrupts = Interrupts()
+    interrupts.running = True
+    interrupts(signal.SIGINT, None)
+    for _ in range(3):
+        interrupts(signal.SIGTERM, None)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts(signal.SIGINT, None)
+    interrupts.ended = True
+    for number in (signal.SIGINT, signal.SIGTERM):
+        interrupts(number, None)
+    assert interrupts.count == 9
 
 
 def test_an_interrupt_that_is_dropped_at_the_end_of_a_command_comes_no_more(monkeypatch):

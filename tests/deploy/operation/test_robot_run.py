@@ -1,4 +1,5 @@
 import signal
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -205,6 +206,53 @@ def test_a_second_ctrl_c_cuts_power(bench, monkeypatch):
     assert (b.robot.cut, b.run.ending) == (1, Ending.FAILED)
     assert b.robot.plant.braked.all()
     assert b.runtime.ticks <= 104
+
+
+def test_a_second_ctrl_c_that_was_dropped_comes_with_the_next_one(bench, monkeypatch):
+    """Python drops what is raised in a destructor; `raised_again` sends Ctrl-C once more."""
+    b = bench(duration=60.0)
+    moves(b, monkeypatch)
+
+    def drop():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    b.at[100] = b.at[104] = lambda: signal.raise_signal(signal.SIGINT)
+    b.at[102] = b.at[103] = drop
+    with pytest.raises(KeyboardInterrupt):
+        b.live()
+    assert (b.robot.cut, b.run.ending) == (1, Ending.FAILED)
+    assert b.robot.plant.braked.all()
+    assert b.runtime.ticks <= 105
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_no_ctrl_c_comes_between_an_error_and_power(bench, monkeypatch, error):
+    b = bench(duration=60.0)
+
+    def fail():
+        raise error
+
+    def stop(ids, cut=b.robot.stop):
+        for _ in range(3):
+            signal.raise_signal(signal.SIGINT)
+        cut(ids)
+
+    b.at[100] = fail
+    monkeypatch.setattr(b.robot, "stop", stop)
+    with pytest.raises(error):
+        b.live()
+    assert (b.robot.cut, b.run.ending) == (1, Ending.FAILED)
+    assert b.robot.plant.braked.all()
+    assert len(b.recorder.events) == 1
+
+
+def test_no_ctrl_c_after_the_rest_cuts_the_files_short(bench):
+    b = bench(duration=0.5)
+    assert b.live() is Ending.DONE
+    with handled(b.interrupts):
+        for _ in range(3):
+            signal.raise_signal(signal.SIGINT)
 
 
 def test_unexpected_error_cuts_power_and_is_raised(bench, monkeypatch):
