@@ -255,6 +255,11 @@ def _check_drives(spec: RobotSpec, model: mujoco.MjModel) -> None:
         )
 
 
+def not_simulated(model: Path, message: str) -> RobotError:
+    """Return the error of a model that MuJoCo compiles but has no room to simulate, with its message's first line."""
+    return RobotError(f"{model}: MuJoCo cannot simulate it: {message.partition(chr(10))[0]:.300}")
+
+
 def _unreadable(model: Path, why: Exception) -> RobotError:
     return RobotError(
         f"{model}: MuJoCo cannot read it: {'; '.join(filter(None, str(why).splitlines())):.300}"

@@ -23,6 +23,7 @@ from deploy.truth import Truth
 from robots.arrays import Bools, Floats, Ints
 from robots.distributions import Distributions
 from robots.draws import Draw
+from robots.models.mujoco_model import not_simulated
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 
@@ -73,6 +74,9 @@ class Plant(Stage):
             distributions: of the draw: link of the cable, and life of a joint.
             seeds: B seeds of pushes and of the cycle of loads.
             threads: for physics; results do not depend on it.
+
+        Raises:
+            RobotError, ConfigError: as `build`, or MuJoCo has no room to simulate the robot.
         """
         _disable_log_file()
         model = build(spec, distributions.cable)
@@ -85,7 +89,7 @@ class Plant(Stage):
         self.wear = Wear(distributions.wear, self.batch, model, draw)
         self.disturbances = {d.name: d(self.batch, model, draw, seeds, spec.dt) for d in DISTURBANCES}
         self.q, self.qd, self.braked = self.kinematics.q, self.kinematics.qd, self.drives.braked
-        self.housing, self._dt = self.housings.celsius, spec.dt
+        self.housing, self._dt, self._path = self.housings.celsius, spec.dt, spec.model_path
         self._supply_ticks, self._slow_ticks = (
             max(1, round(s * spec.rates.control_hz)) for s in (SUPPLY_S, SLOW_S)
         )
@@ -135,7 +139,7 @@ class Plant(Stage):
         Disturbances keep their own schedule: they do not restart with an episode.
         """
         rows = np.flatnonzero(ids)
-        self.batch.reset(rows)
+        self._reset_batch(rows)
         self.contacts.reset(rows)
         self.kinematics.place(rows, q)
         self.drives.rest(rows, q)
@@ -153,6 +157,12 @@ class Plant(Stage):
         self.sensed[rows] = self._sensordata[rows]
         self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
         self._update_kinematics()
+
+    def _reset_batch(self, rows: Ints) -> None:
+        try:
+            self.batch.reset(rows)
+        except SimulationError as e:
+            raise not_simulated(self._path, self.batch.error(int(e.ids[0]))) from e
 
     def _forward(self, rows: np.ndarray) -> None:
         self.valid[rows] = True

@@ -6,6 +6,7 @@ import pinocchio as pin
 
 from robots.arrays import Floats
 from robots.errors import RobotError
+from robots.models.mujoco_model import not_simulated
 from robots.models.nominal_model import load_pinocchio
 from robots.models.pinocchio_model import foot_frames, tool_frame
 from robots.spec import RobotSpec
@@ -37,7 +38,8 @@ def check_agreement(spec: RobotSpec, model: mujoco.MjModel) -> None:
     """Compare the model of `load_mujoco` with that of `load_pinocchio`, in the home pose and in random ones.
 
     Raises:
-        RobotError: the mass matrix, the weight, or the place of a tool, foot or shape differs.
+        RobotError: the mass matrix, the weight, or the place of a tool, foot or shape differs; or MuJoCo has no room
+            to simulate a pose.
     """
     both = _BothModels(spec, model)
     poses = np.random.default_rng(0).uniform(*spec.pose_range, (POSES - 1, spec.n))
@@ -62,7 +64,7 @@ class _BothModels:
         """Compare at joint angles (n,) rad."""
         nominal, nominal_data = self._nominal, self._nominal_data
         self._data.qpos[self._qpos] = q
-        mujoco.mj_forward(self._model, self._data)
+        self._forward()
         pin.framesForwardKinematics(nominal, nominal_data, q)
         pin.updateGeometryPlacements(nominal, nominal_data, self._geometry, self._placements)
         mass, upper = np.zeros((self._model.nv, self._model.nv)), np.triu(pin.crba(nominal, nominal_data, q))
@@ -79,6 +81,12 @@ class _BothModels:
             self._compare_frame(nominal.frames[frame].name, nominal_data.oMf[frame])
         if not self._spec.capsules:  # they are not simulated
             self._compare_shapes()
+
+    def _forward(self) -> None:
+        try:
+            mujoco.mj_forward(self._model, self._data)
+        except mujoco.FatalError as e:
+            raise not_simulated(self._spec.model_path, str(e)) from e
 
     def _compare_joints(
         self, what: str, simulated: Floats, nominal: Floats, allowed: Floats, unit: str

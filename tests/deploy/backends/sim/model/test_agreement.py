@@ -11,7 +11,7 @@ from deploy.backends.sim.model.agreement import check_agreement
 from deploy.backends.sim.model.plant_model import build
 from robots.distributions import load_distributions
 from robots.errors import RobotError
-from robots.models import pinocchio_model
+from robots.models import mujoco_model, pinocchio_model
 from robots.models.mujoco_model import load_mujoco
 from robots.spec import ROBOTS, load_robot
 from support.arm6 import copy_of_arm
@@ -40,6 +40,15 @@ def test_a_model_that_states_too_little_working_memory_gets_enough(tmp_path):
     path.write_text(path.read_text().replace("<worldbody>", '<size memory="1K"/><worldbody>', 1))
     spec = load_robot(folder)
     check_agreement(spec, load_mujoco(spec))
+
+
+def test_a_model_without_room_for_its_contacts_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(mujoco_model, "WORKING_MEMORY", 0)
+    spec = load_robot(copy_of_arm(tmp_path, xml=[("<worldbody>", r'<size memory="1K"/>\g<0>')]))
+    assert re.fullmatch(
+        rf"{re.escape(str(spec.model_path))}: MuJoCo cannot simulate it: mj_stackAlloc: out of memory, .*",
+        refusal(spec),
+    )
 
 
 def test_urdf_with_a_mesh_agrees(tmp_path):
