@@ -158,8 +158,12 @@ class Motor(Strict):
         return self
 
 
+SUBSTEPS_MAX = 100
+"""Steps of physics in a control period, which one call of MuJoCo takes: it is deaf to Ctrl-C meanwhile."""
+
+
 class Rates(Strict):
-    """Rates of control and physics, Hz; physics is a multiple of control."""
+    """Rates of control and physics, Hz; physics is a multiple of control, up to `SUBSTEPS_MAX`."""
 
     control_hz: Annotated[PositiveInt, Field(le=10_000)]
     physics_hz: Annotated[PositiveInt, Field(le=100_000)]
@@ -169,6 +173,11 @@ class Rates(Strict):
         if self.physics_hz % self.control_hz:
             raise ValueError(
                 f"physics_hz {self.physics_hz} is not a multiple of control_hz {self.control_hz}"
+            )
+        if self.physics_hz > SUBSTEPS_MAX * self.control_hz:
+            raise ValueError(
+                f"physics_hz: found {self.physics_hz}, expected at most {SUBSTEPS_MAX} times control_hz"
+                f" {self.control_hz}"
             )
         return self
 

@@ -119,6 +119,11 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("control_hz = 200", "control_hz = 0", ["rates.control_hz", "greater than 0"]),
         ("physics_hz = 1000", "physics_hz = 900", ["rates", "900", "not a multiple", "200"]),
         ("physics_hz = 1000", "physics_hz = 100", ["rates", "100", "not a multiple", "200"]),
+        (
+            "physics_hz = 1000",
+            "physics_hz = 20200",
+            ["rates: physics_hz: found 20200, expected at most 100 times control_hz 200"],
+        ),
         ("tool_speed = 0.87", "tool_speed = 1.1", ["margins.tool_speed", "less than or equal to 1", "1.1"]),
         (
             r"\[margins.torque_mode\]",
