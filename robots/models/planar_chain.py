@@ -69,11 +69,14 @@ class PlanarChain:
         tool = data.oMf[frames[0]].translation
         points = np.array([*(data.oMi[joint + 1].translation for joint in joints), tool])
         points -= np.outer((points - tool) @ axes[0], axes[0])  # on each axis, the point in the tool's plane
+        if not np.linalg.norm(points[1] - points[0]) > ACCURACY_M:
+            first, second = (spec.joint_names[joint] for joint in joints[:2])
+            raise _not_planar(spec, f"{first} and {second} on one axis")
         chain = cls._through(points, joints, axes[0])
         q = np.random.default_rng(0).uniform(-np.pi, np.pi, (PROBES, spec.n))
         for pose in q:
             pin.framesForwardKinematics(model, data, pose)
-            if np.abs(chain.tool(pose) - data.oMf[frames[0]].translation).max() > ACCURACY_M:
+            if not np.abs(chain.tool(pose) - data.oMf[frames[0]].translation).max() <= ACCURACY_M:
                 raise _not_planar(spec, f"others that move the tool {spec.tool!r}, or turned axes")
         return chain
 

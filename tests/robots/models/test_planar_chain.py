@@ -122,12 +122,32 @@ def test_a_robot_that_is_not_planar_is_refused():
         PlanarChain.of_robot(SPEC)
 
 
+def edited(folder, robot, old, new):
+    """A planar robot with a change of its model."""
+    path = shutil.copytree(ROBOTS / robot, folder / robot) / "model.xml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return load_robot(path.parent)
+
+
 def test_a_chain_that_another_joint_moves_is_refused(tmp_path):
     """A tool beside the axis of the wrist rotation turns around it."""
-    folder = shutil.copytree(ROBOTS / "planar4", tmp_path / "planar4")
-    text = (folder / "model.xml").read_text()
-    site = '<site name="tool" pos="0.2 0 0"'
-    assert site in text
-    (folder / "model.xml").write_text(text.replace(site, '<site name="tool" pos="0.2 0.01 0"'))
+    site = '<site name="tool" pos="0.2 {} 0"'
     with pytest.raises(RobotError, match="found others that move the tool 'tool'"):
-        PlanarChain.of_robot(load_robot(folder))
+        PlanarChain.of_robot(edited(tmp_path, "planar4", site.format("0"), site.format("0.01")))
+
+
+@pytest.mark.parametrize("place", ["0 0 0", "0 0.1 0"])
+def test_a_chain_whose_first_link_has_no_length_is_refused(tmp_path, place):
+    body = '<body name="segment_2" pos="{}"'
+    with pytest.raises(RobotError, match=r"hinges .* in a plane; found shoulder and elbow on one axis$"):
+        PlanarChain.of_robot(edited(tmp_path, "planar3", body.format("0.3 0 0"), body.format(place)))
+
+
+@pytest.mark.parametrize("body", ["segment_3", "tool"])
+def test_other_links_may_have_no_length(tmp_path, body):
+    place = f'name="{body}" pos="{{}} 0 0"'
+    chain = PlanarChain.of_robot(edited(tmp_path, "planar3", place.format("0.3"), place.format("0")))
+    q = np.random.default_rng(3).uniform(LOW, HIGH, (50, 3))
+    assert chain.reaches(chain.tool(q), LOW - 0.003, HIGH + 0.003).all()
