@@ -50,6 +50,7 @@ class PlanarChain:
     links: Points
 
     @classmethod
+    @np.errstate(over="ignore", invalid="ignore")  # of places too far for a float: none is near enough
     def of_robot(cls, spec: RobotSpec) -> Self:
         """Find the chain in the robot's nominal model.
 

@@ -145,6 +145,11 @@ def test_a_chain_whose_first_link_has_no_length_is_refused(tmp_path, place):
         PlanarChain.of_robot(edited(tmp_path, "planar3", body.format("0.3 0 0"), body.format(place)))
 
 
+def test_a_chain_too_long_for_a_float_is_refused(tmp_path):
+    with pytest.raises(RobotError, match="found others that move the tool 'tool', or turned axes"):
+        PlanarChain.of_robot(edited(tmp_path, "planar3", 'name="tool" pos="0.3', 'name="tool" pos="1e300'))
+
+
 @pytest.mark.parametrize("body", ["segment_3", "tool"])
 def test_other_links_may_have_no_length(tmp_path, body):
     place = f'name="{body}" pos="{{}} 0 0"'
