@@ -131,7 +131,7 @@ cover: setup ## run all tests and list the lines that none of them reached
 	$(BIN)/python -m coverage report
 
 cover-safety: setup ## run tests of the code that stops a robot; fails if they leave out a line or a branch of it
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run --source $(SAFETY) -m pytest -q -m "not slow" $(SAFETY_TESTS)
+	$(BIN)/python -m coverage run --source $(SAFETY) -m pytest -q -m "not slow" $(SAFETY_TESTS)
 	$(BIN)/python -m coverage report --fail-under 100
 
 mutate: setup ## change the code that stops a robot in every mechanical way, and list the changes that no test notices
