@@ -205,7 +205,11 @@ def _check_memory() -> None:
 
 
 def report_failure(error: Exception) -> int:
-    """Print an exception, with its traceback unless the computer lacks something; return the exit code."""
+    """Print an exception, with its traceback unless the computer lacks something; return the exit code.
+
+    Raises:
+        SystemExit: the working directory was deleted.
+    """
     if _lacks_memory(error):
         first_line, *_ = str(error).splitlines() or [os.strerror(errno.ENOMEM)]
         error = OSError(errno.ENOMEM, printable(first_line))
@@ -214,7 +218,7 @@ def report_failure(error: Exception) -> int:
     elif isinstance(error, FileNotFoundError) and (error.strerror or "").startswith(NO_FOLDER):
         error = OSError(errno.ENOSPC, error.strerror)
     elif isinstance(error, FileNotFoundError) and error.filename is None:
-        _check_working_directory()  # of which only this error tells
+        _check_working_directory()  # a library has asked for it
     if not isinstance(error, OSError) or error.errno not in RESOURCES:
         traceback.print_exception(error)
         return BROKEN

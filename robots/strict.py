@@ -46,9 +46,9 @@ PLACEHOLDER = "?"
 """Value of a draft that is still to be filled in."""
 TOML_CHARACTERS_MAX = 1 << 20
 LINES_MAX = 20
-"""Wrong fields of a file that an error names; it counts the others."""
+"""Wrong fields of a file that an error names; the others are counted."""
 OPEN_FIELDS_MAX = 1000
-"""The same for fields still to be filled in: more than a draft of ours has, whose owner needs each of them."""
+"""Fields still to be filled in that an error names: drafts of robot-init have fewer."""
 
 M = TypeVar("M", bound=Strict)
 
@@ -70,7 +70,7 @@ def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = Config
 
 
 def reject_placeholders(data: object, source: str, error: type[FirstshiftError]) -> None:
-    """Refuse a draft with fields still to be filled in, one line for each of them.
+    """Refuse a draft with fields still to be filled in: the first ones are named, the others counted.
 
     Raises:
         FirstshiftError: of class `error`, one line for each of the first `OPEN_FIELDS_MAX`.
@@ -133,7 +133,7 @@ def read_json_file(path: Path, characters_max: int, source: str | None = None) -
 
 
 def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftError] = ConfigError) -> M:
-    """Return a strict record from plain data; an `error` has one line for each wrong field of `source`.
+    """Return a strict record from plain data; an `error` names the first wrong fields of `source`, and their number.
 
     Raises:
         FirstshiftError: of class `error`, one line for each of the first `LINES_MAX` fields that are wrong.

@@ -141,24 +141,23 @@ def raised_again() -> Iterator[None]:
 
 
 class Interrupts:
-    """Signal handler: until a run begins any signal raises KeyboardInterrupt; from then on it is left to the tick.
+    """Signal handler of a run.
 
-    In a run only a second Ctrl-C raises KeyboardInterrupt: a service manager, a closing terminal or a timer may send
-    several signals. So does every later one, since Python may have dropped it, until the run has ended: from then on
-    none does, so that files are completed.
+    Before it begins, any signal raises KeyboardInterrupt. Then signals are counted and left to the tick: a service
+    manager, a closing terminal or a timer may send several. While a robot may have power, the second Ctrl-C and each
+    later one raise KeyboardInterrupt, since Python drops some; after that none does, so that files are completed.
 
     Attributes:
-        running: set when a run begins. ended: set when it has ended, as by a KeyboardInterrupt that arrived.
-        count: number of signals.
+        running: set when a run begins. powered: the robot may have power. count: number of signals.
     """
 
     def __init__(self) -> None:
-        self.running, self.ended, self.count, self._ctrl_c = False, False, 0, 0
+        self.running, self.powered, self.count, self._ctrl_c = False, False, 0, 0
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal."""
         self.count += 1
         self._ctrl_c += number == signal.SIGINT
-        cuts = number == signal.SIGINT and self._ctrl_c >= 2 and not self.ended
-        if not self.running or cuts:
+        cuts = self.powered and number == signal.SIGINT and self._ctrl_c >= 2
+        if cuts or not self.running:
             raise KeyboardInterrupt

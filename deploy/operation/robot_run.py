@@ -51,7 +51,7 @@ class RobotRun:
     ) -> None:
         """Take a disarmed runtime and the s of robot time from arming to the stop; watchers see each finished tick.
 
-        A signal that `interrupts` has counted asks for the stop; they are told when the run has ended.
+        A signal that `interrupts` has counted asks for the stop; they are told while the robot may have power.
         """
         self.runtime, self.timing, self.recorder = runtime, timing, recorder
         self.statistics, self._interrupts = RunStatistics(), interrupts
@@ -78,16 +78,17 @@ class RobotRun:
 
     def run(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""
+        self._interrupts.powered = True
         try:
             if self._armed():
                 self._work()
         except BaseException:
-            self._interrupts.ended = True  # first: no Ctrl-C shall keep power on
+            self._interrupts.powered = False  # first: no Ctrl-C shall keep power on
             self.runtime.robot.stop(self._all)
             self.ending = Ending.FAILED
             self.recorder.event()
             raise
-        self._interrupts.ended = True
+        self._interrupts.powered = False
         self.ending = self._final_ending()
         return self.ending
 

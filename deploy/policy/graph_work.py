@@ -22,7 +22,7 @@ _ONCE = (
 )
 MOD_WORK = 1 << 14
 """Multiply-adds that one remainder counts as: it takes a nanosecond, or 1.5 µs where exponents are far apart, which a
-policy may make them when no trial looks. As many as a step may have then take 6 ms."""
+policy may make them when no trial looks. As many as a step may have then take about 6 ms."""
 ONCE = frozenset(_ONCE.split())
 """Operators that look at each element a few times."""
 RECURRENT = frozenset({"GRU", "LSTM", "RNN"})

@@ -13,12 +13,12 @@ os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
 import onnxruntime as ort
 
-Session: TypeAlias = ort.InferenceSession
+OnnxSession: TypeAlias = ort.InferenceSession
 BATCHES = (1, 64)
 """Robots in a step for which a policy is checked: one, and many."""
 
 
-def load_session(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> Session:
+def load_session(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> OnnxSession:
     """Load a model into ONNX Runtime, on one thread; `source` names it in error messages.
 
     Args:

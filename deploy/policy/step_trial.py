@@ -1,6 +1,6 @@
 """Trial of a policy of unknown origin in a separate process, with bounds of time and memory: it may crash.
 
-python -P -m deploy.policy.step_trial SOURCE LIFELINE PAIRS ROBOTS... < policy.onnx
+python -P -m deploy.policy.step_trial SOURCE LIFELINE 0|1 ROBOTS... < policy.onnx
 """
 
 import json
@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from deploy.policy.inference import BATCHES, Session, load_session
+from deploy.policy.inference import BATCHES, OnnxSession, load_session
 from deploy.policy.onnx_graph import shortened
 from deploy.policy.policy_names import GOLDEN_KEY, INPUT, MEMORY, NEXT
 from robots.arrays import Float32s
@@ -76,7 +76,7 @@ def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES, *, gold
     return float(said)
 
 
-def median_step_s(session: Session, source: str) -> float:
+def median_step_s(session: OnnxSession, source: str) -> float:
     """Return s, the median time of a step for one robot, of steps that take at most a second together.
 
     Raises:
@@ -95,8 +95,10 @@ def median_step_s(session: Session, source: str) -> float:
     return float(np.median(times))
 
 
-def run_golden_pairs(session: Session, batches: Sequence[int], source: str) -> None:
-    """Run the golden pairs of a policy file as its verification does, which then takes no more time and memory.
+def run_golden_pairs(session: OnnxSession, batches: Sequence[int], source: str) -> None:
+    """Run the golden pairs of a policy file in the order of `Policy.verify`, which needs as much time and memory.
+
+    That class is not imported, which takes seconds: this process is started with each run.
 
     Raises:
         ContractError: ONNX Runtime cannot run the model.
@@ -115,7 +117,7 @@ def run_golden_pairs(session: Session, batches: Sequence[int], source: str) -> N
             _run(session, {INPUT: rows[np.arange(first, first + batch) % len(rows)]}, source)
 
 
-def _run(session: Session, inputs: Mapping[str, Float32s], source: str) -> dict[str, Float32s]:
+def _run(session: OnnxSession, inputs: Mapping[str, Float32s], source: str) -> dict[str, Float32s]:
     """Return the outputs of a step by name."""
     try:
         found = session.run(None, inputs)

@@ -78,7 +78,15 @@ class CheckTable:
         self._verified = True
 
     def reasons(self, values: Floats) -> Ints | None:
-        """Return (R,) bit sets of `Reason`; None where every value of every row is inside its bounds."""
+        """Return (R,) bit sets of `Reason`; None where every value of every row is inside its bounds.
+
+        Raises:
+            ValueError: there is not one value for each bound.
+        """
+        if values.shape[1:] != self._low.shape:
+            raise ValueError(
+                f"safety checks: found values of shape {values.shape}, expected {len(self._low)} in a row"
+            )
         found = np.empty(len(values), dtype=np.int64)
         numbers = self._low, self._high, self._reason, self._reason_not_finite
         return found if _compare(values, *numbers, found) else None
@@ -134,6 +142,7 @@ def find_reasons(
     return refused
 
 
+# Not a decorator: mutation tests leave decorated functions out.
 _compare = kernel(
     *(array(FLOAT, 2), array(FLOAT, 1), array(FLOAT, 1)),
     *(array(INT, 1), array(INT, 1), array(INT, 1, written=True)),

@@ -30,19 +30,25 @@ class PlanPoints(NamedTuple):
 
 
 def plan_points(setpoint: Setpoint, stop: Stop, twice_jerk: Floats) -> PlanPoints:
-    """Return the points of setpoints and their stops; `twice_jerk` (n,) rad/s³ is twice the jerk of a stop."""
+    """Return the points of setpoints and their stops; `twice_jerk` (n,) rad/s³ is twice the jerk of a stop.
+
+    Raises:
+        ValueError: the stops are not those of so many robots, or have other moments.
+    """
     robots, n = setpoint.q.shape
-    points = np.empty((6, STOP_MOMENTS + 2, robots, n))
+    points = np.full((6, STOP_MOMENTS + 2, robots, n), np.nan)
+    shapes = {"moments": (stop.q, (STOP_MOMENTS, robots, n)), "first step": (stop.ahead.q, (robots, n))}
+    for name, (found, expected) in (shapes | {"end": (stop.q_rest, (robots, n))}).items():
+        if found.shape != expected:
+            raise ValueError(f"stop: {name}: found shape {found.shape}, expected {expected}")
     _put(setpoint[:3], stop.ahead[:3], (stop.q, stop.qd, stop.qdd), stop.q_rest, twice_jerk, points)
     return PlanPoints(*points.reshape(6, -1, n))
 
 
 Motions = tuple[Floats, Floats, Floats]
-_POINT, _MOMENTS = alike(array(FLOAT, 2), 3), alike(array(FLOAT, 3), 3)
 
 
-@kernel(_POINT, _POINT, _MOMENTS, array(FLOAT, 2), array(FLOAT, 1), array(FLOAT, 4, written=True))
-def _put(
+def put_points(
     setpoint: Motions, ahead: Motions, braking: Motions, q_rest: Floats, twice_jerk: Floats, points: Floats
 ) -> None:
     """Put setpoints, first steps and moments of stops side by side.
@@ -60,10 +66,17 @@ def _put(
             for place in range(moments + 2):
                 qd, qdd = points[_QD, place, robot, j], points[_QDD, place, robot, j]
                 points[_QD_PEAK, place, robot, j] = qd + qdd * abs(qdd) / twice_jerk[j]
-                points[_QD_OF_TOOL, place, robot, j] = qd
-                points[_POSE, max(place - 1, 0), robot, j] = points[_Q, place, robot, j]
+            points[_POSE, 0, robot, j] = points[_Q, 0, robot, j]
+            points[_QD_OF_TOOL, 0, robot, j] = points[_QD, 0, robot, j]
             points[_QD_OF_TOOL, 1, robot, j] = points[_QD_PEAK, 0, robot, j]
-            points[_POSE, 0, robot, j], points[_POSE, moments + 1, robot, j] = (
-                setpoint[0][robot, j],
-                q_rest[robot, j],
-            )
+            for moment in range(moments):
+                points[_POSE, 1 + moment, robot, j] = points[_Q, 2 + moment, robot, j]
+                points[_QD_OF_TOOL, 2 + moment, robot, j] = points[_QD, 2 + moment, robot, j]
+            points[_POSE, 1 + moments, robot, j] = q_rest[robot, j]
+
+
+_POINT, _MOMENTS = alike(array(FLOAT, 2), 3), alike(array(FLOAT, 3), 3)
+# Not a decorator: mutation tests leave decorated functions out.
+_put = kernel(_POINT, _POINT, _MOMENTS, array(FLOAT, 2), array(FLOAT, 1), array(FLOAT, 4, written=True))(
+    put_points
+)

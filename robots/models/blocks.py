@@ -6,16 +6,16 @@ from robots.arrays import Floats
 
 BLOCK = 16
 """Robots in one call: enough to share its cost, few enough that its working memory stays in the cache."""
-JOINTS = 192
+BLOCK_JOINTS = 192
 """Joints in one call, of all of its robots: Pinocchio's memory grows with their cube, here to 0.5 GB."""
 
 
 def block_rows(robots: int, n: int) -> list[slice]:
-    """Return the rows of each block, all of one width, of robots with n ≤ `JOINTS` joints.
+    """Return the rows of each block, all of one width, of robots with n joints each.
 
     The last may repeat robots of the one before: a robot's result depends on no neighbour, so it is the same again.
     """
-    most = min(BLOCK, JOINTS // n)
+    most = min(BLOCK, max(1, BLOCK_JOINTS // n))
     width = -(-robots // -(-robots // most))
     return [slice(start, start + width) for start in (*range(0, robots - width, width), robots - width)]
 

@@ -10,6 +10,8 @@ each limited to its segment. Parallel ones begin with s = 0.
 Source: Ericson, Real-Time Collision Detection (2005), sec. 5.1.9.
 """
 
+from math import isfinite
+
 from robots.arrays import Bools, Floats, Ints
 from robots.kernel import BOOL, FLOAT, INT, array, inlined, kernel
 
@@ -31,7 +33,12 @@ def _limited(x: float, most: float) -> float:
 def _distance_squared(
     r: tuple[float, float, float], axis: Floats, half: Floats, i: int, j: int, first: int
 ) -> float:
-    """Return m², between segments `i` and `j`, whose middles are r apart, of the robot that is `first` in `axis`."""
+    """Return m² between two segments of a robot.
+
+    Args:
+        r: m, from the middle of segment j to that of segment i. axis, half: as of `find_near`.
+        i, j: shapes. first: row of the robot's first shape.
+    """
     u, v = first + i, first + j
     cosine = _dot(axis, u, axis, v)
     u_r = axis[u, 0] * r[0] + axis[u, 1] * r[1] + axis[u, 2] * r[2]
@@ -65,7 +72,8 @@ def find_near(centre: Floats, axis: Floats, half: Floats, pairs: Ints, reach: Fl
             i, j = pairs[pair]
             a, b = first + i, first + j
             r = centre[a, 0] - centre[b, 0], centre[a, 1] - centre[b, 1], centre[a, 2] - centre[b, 2]
-            if r[0] * r[0] + r[1] * r[1] + r[2] * r[2] > (half[i] + half[j] + reach[pair]) ** 2:
+            apart = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+            if isfinite(apart) and apart > (half[i] + half[j] + reach[pair]) ** 2:
                 continue
             if not _distance_squared(r, axis, half, i, j, first) > reach[pair] ** 2:
                 near[robot] = True

@@ -38,9 +38,7 @@ class Collisions:
         shapes = list(geometry.geometryObjects)
         # The fixed shape of a pair comes first.
         pairs = [(b, a) if shapes[b].parentJoint == 0 else (a, b) for a, b in pairs]
-        of_capsules = [(a, b) for a, b in pairs if _is_capsule(shapes[a]) and _is_capsule(shapes[b])]
-        with_obstacle = [(a, b) for a, b in pairs if _is_obstacle(shapes[a]) and _is_capsule(shapes[b])]
-        others = [pair for pair in pairs if pair not in of_capsules and pair not in with_obstacle]
+        of_capsules, with_obstacle, others = _sorted(pairs, shapes)
         self._others = PairChecks(model, shapes, others, copies, margin)
         self._obstacles = PairChecks(model, shapes, with_obstacle, copies, margin)
         radius = [shape.geometry.radius if _is_capsule(shape) else 0.0 for shape in shapes]
@@ -51,7 +49,7 @@ class Collisions:
         for a, b in with_obstacle:
             height = _top(shapes[a]) + margin + radius[b] + SLACK
             self._clear_above[b] = np.maximum(self._clear_above[b], height)
-        self._copies, self._shapes = copies, _side_by_side(model, shapes, copies)
+        self._copies, self._shapes = copies, _copied_shapes(model, shapes, copies)
         self._placements = self._shapes.createData()
         self._centre = strided_view([place.translation for place in self._placements.oMg])
         self._axis = strided_view([place.rotation for place in self._placements.oMg])[:, :, 2]
@@ -76,7 +74,7 @@ class PairChecks:
     def __init__(
         self, model: pin.Model, shapes: list[pin.GeometryObject], pairs: Pairs, copies: int, margin: float
     ) -> None:
-        self._geometry, self._copies = _side_by_side(model, shapes, copies), copies
+        self._geometry, self._copies = _copied_shapes(model, shapes, copies), copies
         self.pairs = len(pairs)
         for first in range(0, copies * len(shapes), len(shapes)):
             for a, b in pairs:
@@ -94,7 +92,7 @@ class PairChecks:
         return np.asarray(np.reshape(hits, (self._copies, -1)).any(axis=1))
 
 
-def _side_by_side(model: pin.Model, shapes: list[pin.GeometryObject], copies: int) -> pin.GeometryModel:
+def _copied_shapes(model: pin.Model, shapes: list[pin.GeometryObject], copies: int) -> pin.GeometryModel:
     """Return the shapes of each copy of a robot in the `model` of all copies, without pairs."""
     geometry, joints = pin.GeometryModel(), model.njoints - 1
     for copy in range(copies):
@@ -174,17 +172,26 @@ def collision_pairs(
     return pairs
 
 
+def _sorted(pairs: Pairs, shapes: list[pin.GeometryObject]) -> tuple[Pairs, Pairs, Pairs]:
+    """Return the pairs of capsules, those of an obstacle and a capsule, and all others."""
+    of_capsules, with_obstacle, others = Pairs(), Pairs(), Pairs()
+    for a, b in pairs:
+        if not _is_capsule(shapes[b]):
+            others.append((a, b))
+        elif _is_capsule(shapes[a]):
+            of_capsules.append((a, b))
+        else:
+            (with_obstacle if shapes[a].parentJoint == 0 else others).append((a, b))
+    return of_capsules, with_obstacle, others
+
+
 def _is_capsule(shape: pin.GeometryObject) -> bool:
-    """Spheres are capsules without length."""
+    """Return True for a capsule, and for a sphere, which is one without length."""
     return isinstance(shape.geometry, coal.Capsule | coal.Sphere)
 
 
 def _half_length(shape: pin.GeometryObject) -> float:
     return shape.geometry.halfLength if isinstance(shape.geometry, coal.Capsule) else 0.0
-
-
-def _is_obstacle(shape: pin.GeometryObject) -> bool:
-    return shape.parentJoint == 0 and not _is_capsule(shape)
 
 
 def _top(shape: pin.GeometryObject) -> float:

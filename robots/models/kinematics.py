@@ -70,14 +70,28 @@ class Kinematics:
         return self._jacobians
 
     def tool_velocity(self, qd: Floats, robots: Ints | None = None) -> Floats:
-        """Return (R, 3) m/s, the tool's velocity of R `robots`, by default all, at joint speeds (R, n) rad/s."""
-        rows, found = np.arange(len(qd)) if robots is None else robots, np.empty((len(qd), 3))
+        """Return (R, 3) m/s, the tool's velocity of R `robots`, by default all, at joint speeds (R, n) rad/s.
+
+        Raises:
+            ValueError: there are not speeds for each of them.
+        """
+        all_robots, _, n = self._jacobian.shape
+        rows, found = np.arange(all_robots) if robots is None else robots, np.empty((len(qd), 3))
+        if qd.shape != (len(rows), n):
+            raise ValueError(f"joint speeds: found shape {qd.shape}, expected {(len(rows), n)}")
         find_velocities(self._jacobian, self.tool_position, self._frames.tool_joints, rows, qd, found)
         return found
 
     def torque_of_tool_force(self, force: Floats) -> Floats:
-        """Return (B, n) N·m, the joint torques Jᵀf that equal a force f (B, 3) N on the tool."""
-        found = np.empty((len(force), self._jacobian.shape[2]))
+        """Return (B, n) N·m, the joint torques Jᵀf that equal a force f (B, 3) N on the tool.
+
+        Raises:
+            ValueError: there is not a force for each robot.
+        """
+        robots, _, n = self._jacobian.shape
+        found = np.empty((robots, n))
+        if force.shape != (robots, 3):
+            raise ValueError(f"force on the tool: found shape {force.shape}, expected {(robots, 3)}")
         find_torques(self._jacobian, self.tool_position, self._frames.tool_joints, force, found)
         return found
 

@@ -41,7 +41,10 @@ PHYSICS = (
 )
 """Flags that must stay enabled: without one of them a robot that would break or fall passes every test."""
 UNSUITABLE = ("override", "sleep", "ipc")
-"""Flags that must stay disabled: one undoes the drawn friction of contacts, a `Batch` has no state for the others."""
+"""Flags that must stay disabled: `override` undoes the drawn friction of contacts, for the others a `Batch` has no
+state."""
+MEDIUM = ("density", "viscosity", "wind")
+"""Options of a medium that brakes the robot: the nominal model has none."""
 SIZE_MIB = 256
 """Memory of a compiled model. The H1 with 14 MB of meshes needs 65 MiB, a robot with 50 MB of meshes 188 MiB."""
 WORKING_MEMORY = 15 << 20
@@ -111,7 +114,7 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
         RobotError: MuJoCo cannot read it, it changes the physics, or it lacks a part that robot.toml names.
     """
     mjcf = open_model(spec.model_path, spec.folder)
-    _check_flags(mjcf, spec.model_path)
+    _check_physics(mjcf, spec.model_path)
     if spec.base and is_urdf(spec.model_path):  # URDF cannot declare a free root
         mjcf.worldbody.bodies[0].add_freejoint()
     mjcf.option.timestep = 1.0 / spec.rates.physics_hz
@@ -130,8 +133,11 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
     return mjcf
 
 
-def _check_flags(mjcf: mujoco.MjSpec, model: Path) -> None:
-    """Refuse (RobotError) flags that change the physics. Drafts can be made from such a model, simulations cannot."""
+def _check_physics(mjcf: mujoco.MjSpec, model: Path) -> None:
+    """Refuse (RobotError) options that change the physics. Drafts can be made from such a model, simulations cannot."""
+    for name in MEDIUM:
+        if np.any(found := getattr(mjcf.option, name)):
+            raise RobotError(f"{model}: option {name}: found {found}, expected 0")
     for name in PHYSICS:
         if mjcf.option.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name.upper()}"):
             raise RobotError(f"{model}: option flag {name}: found 'disable', expected 'enable'")
@@ -256,7 +262,7 @@ def _check_drives(spec: RobotSpec, model: mujoco.MjModel) -> None:
 
 
 def not_simulated(model: Path, message: str) -> RobotError:
-    """Return the error of a model that MuJoCo compiles but has no room to simulate, with its message's first line."""
+    """Return the error of a model that MuJoCo compiles but cannot simulate, with the first line of its message."""
     return RobotError(f"{model}: MuJoCo cannot simulate it: {message.partition(chr(10))[0]:.300}")
 
 

@@ -51,7 +51,7 @@ def read_pinocchio(spec: RobotSpec) -> Read:
 def _check_joints(path: Path) -> None:
     """Refuse (RobotError) too many joints, locked ones included, for which Pinocchio takes memory as it reads."""
     joints = read_xml(path).findall("joint" if is_urdf(path) else "worldbody//joint")
-    if (found := sum(joint.get("type") != "fixed" for joint in joints)) > JOINTS_MAX:
+    if (found := sum(joint.get("type") not in ("fixed", "free") for joint in joints)) > JOINTS_MAX:
         raise RobotError(f"{path}: found {found} joints, expected at most {JOINTS_MAX}")
 
 

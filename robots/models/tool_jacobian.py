@@ -27,8 +27,8 @@ def find_velocities(
     """Find (R, 3) m/s of the tools of robots `rows` (R,) at joint speeds qd (R, n) rad/s.
 
     Args:
-        jacobians: (B, 6, n). tool: (B, 3) m. joints: those that carry it.
-        rows, qd: see above. velocities: the result.
+        jacobians: (B, 6, n). tool: (B, 3) m. joints: (K,) numbers of those that carry it.
+        rows, qd: as said. velocities: the result.
     """
     for row in range(len(rows)):
         robot = rows[row]
@@ -47,7 +47,10 @@ def find_velocities(
 
 @kernel(_JACOBIANS, _TOOL, _JOINTS, array(FLOAT, 2), _OUT)
 def find_torques(jacobians: Floats, tool: Floats, joints: Ints, force: Floats, torques: Floats) -> None:
-    """Find (B, n) N·m, the joint torques Jᵀ[f; p × f] of a force f (B, 3) N on the tool; arguments as above."""
+    """Find (B, n) N·m, the joint torques Jᵀ[f; p × f] of a force f (B, 3) N on the tool.
+
+    Jacobians, tool and joints are those of `find_velocities`.
+    """
     for robot in range(len(jacobians)):
         f = force[robot, 0], force[robot, 1], force[robot, 2]
         moment = _crossed((tool[robot, 0], tool[robot, 1], tool[robot, 2]), f)
@@ -101,8 +104,9 @@ def _multiply(a: Floats, square: Floats) -> None:
 
 @kernel(_JACOBIANS, _TOOL, _JOINTS, array(FLOAT, 1, written=True))
 def find_manipulability(jacobians: Floats, tool: Floats, joints: Ints, measure: Floats) -> None:
-    """Find (B,) det J for six joints, √det(JᵀJ) for fewer, √det(JJᵀ) for more, with J of the tool; arguments as above.
+    """Find (B,) det J for six joints, √det(JᵀJ) for fewer, √det(JJᵀ) for more, with J of the tool.
 
+    Jacobians, tool and joints are those of `find_velocities`.
     Source: Yoshikawa, Manipulability of Robotic Mechanisms (1985), eq. 4.
     """
     n, of_tool = len(joints), np.empty((6, len(joints)))

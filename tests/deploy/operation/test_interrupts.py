@@ -129,21 +129,30 @@ def test_a_request_that_python_drops_is_raised_again_where_ctrl_c_is_ignored():
 
 def test_a_second_ctrl_c_that_python_drops_is_raised_again():
     interrupts = Interrupts()
-    interrupts.running = True
+    interrupts.running = interrupts.powered = True
     interrupts(signal.SIGINT, None)
     with pytest.raises(KeyboardInterrupt), handled(interrupts), raised_again():
         die_and_wait(signal.SIGINT)
 
 
-def test_every_further_ctrl_c_raises_until_the_run_has_ended():
+def test_no_ctrl_c_raises_between_the_first_file_and_power():
+    """Files of the run before are gone then; the first tick ends it."""
     interrupts = Interrupts()
     interrupts.running = True
+    for _ in range(3):
+        interrupts(signal.SIGINT, None)
+    assert interrupts.count == 3
+
+
+def test_every_further_ctrl_c_raises_while_there_may_be_power():
+    interrupts = Interrupts()
+    interrupts.running = interrupts.powered = True
     interrupts(signal.SIGINT, None)
     for _ in range(3):
         interrupts(signal.SIGTERM, None)
         with pytest.raises(KeyboardInterrupt):
             interrupts(signal.SIGINT, None)
-    interrupts.ended = True
+    interrupts.powered = False
     for number in (signal.SIGINT, signal.SIGTERM):
         interrupts(number, None)
     assert interrupts.count == 9

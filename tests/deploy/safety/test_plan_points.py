@@ -17,7 +17,7 @@ def some(*shape):
 @pytest.mark.parametrize("compiled", [True, False])
 def test_points_are_side_by_side(compiled, monkeypatch):
     if not compiled:
-        monkeypatch.setattr(plan_points, "_put", getattr(plan_points._put, "py_func", plan_points._put))
+        monkeypatch.setattr(plan_points, "_put", plan_points.put_points)
     twice_jerk = 2 * SPEC.joint_array("qddd_max")
     here, ahead = Setpoint(*some(3)), Setpoint(*some(3))
     stop = Stop(ahead, *some(3, STOP_MOMENTS), q_rest=some())
@@ -29,3 +29,18 @@ def test_points_are_side_by_side(compiled, monkeypatch):
     np.testing.assert_array_equal(found.qd_peak, peak)
     np.testing.assert_array_equal(found.poses, np.concatenate((here.q, *stop.q, stop.q_rest)))
     np.testing.assert_array_equal(found.qd_of_tool, np.concatenate((here.qd, peak[:ROBOTS], *stop.qd)))
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ({"q": some(STOP_MOMENTS - 1)}, "moments: found shape \\(4, 3, 6\\), expected \\(5, 3, 6\\)"),
+        ({"q_rest": some()[:1]}, "end: found shape \\(1, 6\\), expected \\(3, 6\\)"),
+        ({"ahead": Setpoint(*some(3)[:, :2])}, "first step: found shape \\(2, 6\\), expected \\(3, 6\\)"),
+    ],
+)
+def test_stops_of_other_shapes_are_refused(part, said):
+    here = Setpoint(*some(3))
+    stop = Stop(here, *some(3, STOP_MOMENTS), q_rest=some())._replace(**part)
+    with pytest.raises(ValueError, match=f"^stop: {said}$"):
+        plan_points.plan_points(here, stop, np.ones(SPEC.n))

@@ -35,32 +35,32 @@ def unit(x):
     return x / np.linalg.norm(x)
 
 
-RNG = np.random.default_rng(3)
 DIRECTIONS = {
-    "any": lambda: (unit(RNG.normal(size=3)), unit(RNG.normal(size=3))),
-    "parallel": lambda: (unit(np.ones(3)),) * 2,
-    "opposite": lambda: (unit(np.ones(3)), -unit(np.ones(3))),
-    "nearly parallel": lambda: (unit(np.ones(3)), unit(np.ones(3) + 1e-6 * RNG.normal(size=3))),
-    "crossing at a right angle": lambda: (np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
+    "any": lambda rng: (unit(rng.normal(size=3)), unit(rng.normal(size=3))),
+    "parallel": lambda _: (unit(np.ones(3)),) * 2,
+    "opposite": lambda _: (unit(np.ones(3)), -unit(np.ones(3))),
+    "nearly parallel": lambda rng: (unit(np.ones(3)), unit(np.ones(3) + 1e-6 * rng.normal(size=3))),
+    "crossing at a right angle": lambda _: (np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
 }
 
 
 @pytest.mark.parametrize("half", [(0.2, 0.1), (0.2, 0.0), (0.0, 0.0)])
 @pytest.mark.parametrize("direction", DIRECTIONS)
 def test_capsules_are_near_from_the_distance_that_coal_finds(direction, half):
-    radius = 0.03, 0.05
+    radius, rng = (0.03, 0.05), np.random.default_rng(3)
     for _ in range(200):
-        centre, axis = RNG.uniform(-0.3, 0.3, (2, 3)), np.array(DIRECTIONS[direction]())
+        centre, axis = rng.uniform(-0.3, 0.3, (2, 3)), np.array(DIRECTIONS[direction](rng))
         reach = sum(radius) + coal_distance(centre, axis, half, radius)
         if reach > TOLERANCE_M:  # segments that cross have no distance that could be less
             assert not near(centre, axis, half, reach - TOLERANCE_M)
         assert near(centre, axis, half, reach + TOLERANCE_M)
 
 
-def test_a_capsule_at_no_place_is_near():
+@pytest.mark.parametrize("nowhere", [np.nan, np.inf])
+def test_a_capsule_at_no_place_is_near(nowhere):
     centre, axis = np.array([[0.0, 0, 0], [9, 9, 9]]), np.array([[0.0, 0, 1], [1, 0, 0]])
     assert not near(centre, axis, (0.1, 0.1), 0.1)
-    centre[1] = np.nan
+    centre[1] = nowhere
     assert near(centre, axis, (0.1, 0.1), 0.1)
 
 

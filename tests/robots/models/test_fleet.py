@@ -398,6 +398,15 @@ def test_a_flag_that_changes_the_physics_is_refused(tmp_path, flag, found, expec
     assert load_mujoco(robot(expected)).njnt == N
 
 
+@pytest.mark.parametrize("option", ['density="50"', 'viscosity="1"', 'wind="0 1 0"'])
+def test_a_medium_that_brakes_the_robot_is_refused(tmp_path, option):
+    robot = copy_of_arm(tmp_path, xml=[("</mujoco>", rf"<option {option}/>\g<0>")])
+    with pytest.raises(
+        RobotError, match=rf"model\.xml: option {option.partition('=')[0]}: found .*, expected 0$"
+    ):
+        load_mujoco(load_robot(robot))
+
+
 @pytest.mark.parametrize("loader", [load_mujoco, load_pinocchio])
 def test_joints_in_another_order_are_refused(tmp_path, loader):
     """robot.toml and model.xml must agree on the order: nothing is guessed."""

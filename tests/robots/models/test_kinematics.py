@@ -42,3 +42,13 @@ def test_joints_that_do_not_carry_the_tool_do_not_move_it(tmp_path):
     np.testing.assert_array_equal(kinematics.torque_of_tool_force(np.ones((1, 3)))[0, 3:], np.zeros(3))
     assert np.abs(kinematics.tool_velocity(1.0 - wrist)).max() > 0.1
     assert abs(kinematics.manipulability()[0]) > 0.01
+
+
+def test_speeds_and_forces_of_other_shapes_are_refused():
+    kinematics = Fleet(SPEC, 2).kinematics(np.repeat(HOME, 2, axis=0))
+    for qd, robots in ((HOME, None), (np.zeros((2, 5)), None), (np.zeros((2, 6)), np.array([0]))):
+        with pytest.raises(ValueError, match=r"^joint speeds: found shape \("):
+            kinematics.tool_velocity(qd, robots)
+    for force in (np.zeros((1, 3)), np.zeros((2, 4))):
+        with pytest.raises(ValueError, match=r"^force on the tool: found shape .*, expected \(2, 3\)$"):
+            kinematics.torque_of_tool_force(force)
