@@ -166,6 +166,11 @@ class RobotSpec(Strict):
         for pair, times in Counter(tuple(sorted(pair.bodies)) for pair in self.may_touch).items():
             if times > 1:
                 raise ValueError(f"may_touch: found {list(pair)} {times} times, expected each pair once")
+        points = Counter((*(self.base.feet if self.base else ()), *([self.tool] if self.tool else [])))
+        if twice := [name for name, times in points.items() if times > 1]:
+            raise ValueError(
+                f"base.feet: found {twice[0]!r} twice, expected each once and none that is the tool"
+            )
 
     def _check_drives(self) -> None:
         used = {joint.motor: self.motors[joint.motor].drive for joint in self.joints}

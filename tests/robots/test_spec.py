@@ -350,3 +350,12 @@ def test_what_stands_on_feet_has_no_torque_mode():
     }
     with pytest.raises(ValueError, match="modes: found 'torque', expected none of a robot with a base"):
         RobotSpec.model_validate({**dict(quadruped), "motors": motors})
+
+
+@pytest.mark.parametrize("more", [{"feet": ("front_left", "front_left")}, {"tool": "front_left"}])
+def test_a_foot_is_named_once_and_is_not_the_tool(more):
+    quadruped = load_robot(TEST_ROBOTS / "quadruped")
+    base = quadruped.base.model_copy(update={"feet": more.get("feet", quadruped.base.feet)})
+    changed = {**dict(quadruped), "base": base, "tool": more.get("tool")}
+    with pytest.raises(ValueError, match=r"base\.feet: found 'front_left' twice, expected each once"):
+        RobotSpec.model_validate(changed)
