@@ -7,6 +7,7 @@ import numpy as np
 
 from robots.arrays import Ints
 from robots.contacts import GOAL, WORLD
+from robots.errors import RobotError
 from robots.models.files import OWN
 from robots.spec import RobotSpec
 
@@ -56,10 +57,14 @@ def add_contacts(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) 
     """Add the sensors, and the goal's sphere where the robot may touch it.
 
     Raises:
-        RobotError: `may_touch` names a body that is not in model.xml.
+        RobotError: `may_touch` names a body that is not in model.xml, or a goal in whose place that has a part.
     """
     bodies = [nominal.body(body).name for body in range(1, nominal.nbody)]
     if spec.touches_goal:
+        if mjcf.body(GOAL) or mjcf.geom(GOAL):
+            raise RobotError(
+                f"{spec.model_path}: found a body or geom {GOAL!r}, expected none: the goal is called so"
+            )
         goal = mjcf.worldbody.add_body(name=GOAL, mocap=True, pos=PARKED)
         size, bits = [GOAL_RADIUS_M, 0.0, 0.0], {"contype": ALL_BITS, "conaffinity": ALL_BITS}
         goal.add_geom(name=GOAL, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=size, condim=3, **bits)

@@ -19,7 +19,7 @@ LEVEL = f"{OWN}level"
 
 def backlash_name(joint: str) -> str:
     """Return the name of the backlash hinge of a joint."""
-    return f"{joint}/backlash"
+    return f"{OWN}backlash/{joint}"
 
 
 def add_backlash(joint: mujoco.MjsJoint, nominal: mujoco.MjModel) -> None:

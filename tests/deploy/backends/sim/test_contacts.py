@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from deploy.backends.sim.model.allowed_contacts import GOAL_RADIUS_M, PARKED
+from deploy.backends.sim.model.plant_model import build
 from eval.shard.judging import judge_tick, make_judge
 from robots.distributions import load_distributions
 from robots.draws import median_draw
@@ -277,3 +278,11 @@ def test_an_unknown_body_is_refused_by_both_libraries(tmp_path):
 def test_a_robot_without_allowed_contacts_keeps_its_digest_and_capabilities(spec):
     assert "may_touch" not in SPEC.model_dump()
     assert spec.capabilities - SPEC.capabilities == {"allowed_contact"}
+
+
+def test_a_part_of_the_model_that_is_called_like_the_goal_is_refused(tmp_path):
+    spec = touching(tmp_path)
+    text = spec.model_path.read_text()
+    spec.model_path.write_text(text.replace('<geom name="table"', '<geom name="goal"', 1))
+    with pytest.raises(RobotError, match=r"model\.xml: found a body or geom 'goal', expected none"):
+        build(spec, load_distributions(spec).cable)

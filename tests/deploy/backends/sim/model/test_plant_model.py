@@ -305,3 +305,12 @@ def test_an_arm_without_a_tool_carries_its_payload_on_its_last_link(tmp_path):
     assert plant.valid.all()
     assert plant.disturbances["payload"].on.all()
     np.testing.assert_allclose(plant.q[0], HOME, atol=0.05)
+
+
+def test_a_joint_may_be_called_like_the_backlash_of_another(tmp_path):
+    folder = copy_of_arm(tmp_path)
+    for file in ("model.xml", "robot.toml"):
+        text = (folder / file).read_text()
+        (folder / file).write_text(text.replace('"elbow"', '"shoulder_pan/backlash"'))
+    spec = load_robot(folder)
+    assert len(set(build(spec, DISTRIBUTIONS.cable).backlash)) == N
