@@ -36,7 +36,7 @@ def plan_points(setpoint: Setpoint, stop: Stop, twice_jerk: Floats) -> PlanPoint
         ValueError: the stops are not those of so many robots, or have other moments.
     """
     robots, n = setpoint.q.shape
-    points = np.full((6, STOP_MOMENTS + 2, robots, n), np.nan)
+    points = np.empty((6, STOP_MOMENTS + 2, robots, n))
     shapes = {"moments": (stop.q, (STOP_MOMENTS, robots, n)), "first step": (stop.ahead.q, (robots, n))}
     for name, (found, expected) in (shapes | {"end": (stop.q_rest, (robots, n))}).items():
         if found.shape != expected:

@@ -71,7 +71,8 @@ def test_a_child_ends_when_its_lifeline_is_cut():
 
 
 def test_a_child_may_finish_within_its_grace():
-    child = "import os; from robots.child_process import end_with; end_with(0, 3600.0); os.read(0, 1)"
+    work = "os.read(0, 1); time.sleep(0.3)"  # long after the lifeline was cut
+    child = f"import os, time; from robots.child_process import end_with; end_with(0, 3600.0); {work}"
     lifeline = Lifeline()
     lifeline.cut()
     end = lifeline.end.fileno()

@@ -57,7 +57,7 @@ def add_contacts(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) 
     """Add the sensors, and the goal's sphere where the robot may touch it.
 
     Raises:
-        RobotError: `may_touch` names a body that is not in model.xml, or a goal in whose place that has a part.
+        RobotError: `may_touch` names a body that is not in model.xml, or the goal, and a part there is called so, too.
     """
     bodies = [nominal.body(body).name for body in range(1, nominal.nbody)]
     if spec.touches_goal:

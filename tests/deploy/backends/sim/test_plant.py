@@ -1,19 +1,12 @@
-import shutil
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from robots.errors import RobotError
-from robots.motors.motor import MotorHeat, temperatures
-from robots.spec import ROBOTS, load_robot
-from support.arm6 import SPEC, copy_of_arm
+from support.arm6 import SPEC
 from support.deploy.plants import BUSY, DT, HOME, PLANT_MODEL, N, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
-Plant = pytest.importorskip("deploy.backends.sim.plant").Plant
-build = pytest.importorskip("deploy.backends.sim.model.plant_model").build
 load_mujoco = pytest.importorskip("robots.models.mujoco_model").load_mujoco
 
 
@@ -135,51 +128,6 @@ def test_setpoints_are_interpolated_linearly():
     assert worst < 75.0
 
 
-def cramped(folder, monkeypatch, kib):
-    """Two robots with little memory for contacts and the solver, the second folded into itself."""
-    monkeypatch.setattr("robots.models.mujoco_model.WORKING_MEMORY", 0)
-    small = [("<option timestep", rf'<size memory="{kib}K"/>\g<0>')]
-    plant, folded = exact(2, spec=load_robot(copy_of_arm(folder, xml=small))), HOME.copy()
-    folded[2], folded[3] = 3.0, 1.0
-    plant.reset(np.array([False, True]), np.tile(folded, (2, 1)))
-    return plant
-
-
-def test_any_mujoco_warning_invalidates_the_simulation(tmp_path, monkeypatch):
-    """It stops in the middle of a rollout, so it lives less than the others: here for want of room for contacts."""
-    monkeypatch.chdir(tmp_path)
-    plant = cramped(tmp_path, monkeypatch, 12)
-    plant.step(command(plant.q.copy()))
-    assert plant.truth(0.0).valid.tolist() == [True, False]
-    assert not list(tmp_path.glob("*.TXT"))  # nor does MuJoCo leave a log where the user is
-
-
-@pytest.mark.parametrize(("kib", "lost"), [(9, 0), (18, 1)])
-def test_a_simulation_without_room_for_the_solver_is_invalid(tmp_path, monkeypatch, kib, lost):
-    """In a step, or already in the pose that it is placed in."""
-    plant = cramped(tmp_path, monkeypatch, kib)
-    assert plant.valid.tolist() == [True, lost != 1]
-    plant.step(command(plant.q.copy()))
-    assert not plant.truth(0.0).valid[lost]
-    assert "mj_stackAlloc: out of memory" in plant.batch.error(lost)
-
-
-def test_a_robot_that_has_no_room_to_start_is_refused(tmp_path):
-    """The plant gives every contact friction, so it needs more room than the model alone."""
-    folder = shutil.copytree(ROBOTS / "planar3", tmp_path / "planar3")
-    path, text = folder / "model.xml", (folder / "model.xml").read_text()
-    near = '<geom type="sphere" pos="0.1 0 {}" size="0.02" margin="2" mass="0"/>'
-    many = "".join(near.format(0.0001 * place) for place in range(80))
-    for link in (1, 3):
-        text = text.replace(f'<geom name="segment_{link}"', many + f'<geom name="segment_{link}"')
-    path.write_text(text)
-    with pytest.raises(
-        RobotError,
-        match=r"planar3/model\.xml: MuJoCo cannot simulate it: mj_stackAlloc: out of memory, .*\d$",
-    ):
-        exact(spec=load_robot(folder))
-
-
 def assert_same(one, other, rows=slice(None)):
     """Robots `rows` of one plant, and all of another: not one bit apart."""
     expected, found = one.save(), other.save()
@@ -262,25 +210,6 @@ def test_reset_of_a_subset_leaves_the_others_alone():
     assert np.abs(plant.q[1] - pose[1]).max() < 0.01
 
 
-@pytest.mark.parametrize("how", ["speed", "nan"])
-def test_a_diverged_simulation_is_seen_and_stays_seen(how):
-    plant, twin = drawn(3), drawn(3)
-    still = command(np.tile(HOME, (3, 1)))
-    plant.batch.bind("qvel")[1] = 1e200 if how == "speed" else np.nan
-    for _ in range(220):
-        plant.step(still)
-        twin.step(still)
-        assert plant.truth(0.0).valid.tolist() == [True, False, True]
-    np.testing.assert_array_equal(plant.rows[[0, 2]], twin.rows[[0, 2]])
-    assert np.isfinite(plant.housing).all()
-    assert np.isfinite(plant.wear.life).all()
-    plant.reset(np.array([False, True, False]), np.tile(HOME, (3, 1)))
-    for _ in range(220):
-        plant.step(still)
-    assert plant.truth(0.0).valid.all()
-    assert np.abs(plant.q[1] - HOME).max() < 0.05
-
-
 def test_contact_with_itself_and_with_the_table_is_true():
     plant = exact(3)
     folded, down = HOME.copy(), HOME.copy()
@@ -320,90 +249,3 @@ def test_tool_position_equals_forward_kinematics():
     speed = np.linalg.norm(plant.tool_velocity[1])
     assert speed > 0.1
     assert late < 1.5 * speed / SPEC.rates.physics_hz
-
-
-# An RE40-like motor on the last joint: facts as in test_motor; 48 V, gear 101.
-RE40 = MotorHeat(
-    resistance=1.16,
-    alpha=0.0039,
-    reference_c=25.0,
-    winding_to_housing=1.93,
-    housing_to_ambient=4.65,
-    winding_capacity=41.6 / 1.93,
-    housing_capacity=1120.0 / 4.65,
-)
-
-
-def re40_arm(tmp_path, hz):
-    folder = copy_of_arm(
-        tmp_path,
-        toml=[
-            *[("rate_hz = (200|30)", "rate_hz = 10")] * 4,
-            ("stale_s = 0.035", "stale_s = 0.2"),
-            ("lost_s = 0.110", "lost_s = 0.5"),
-            ("control_hz = 200", f"control_hz = {hz}"),
-            ("physics_hz = 1000", f"physics_hz = {hz}"),
-            ("housing_resistance_k_per_w = 7.0", f"housing_resistance_k_per_w = {RE40.housing_to_ambient}"),
-            ("housing_capacity_j_per_k = 400.0", f"housing_capacity_j_per_k = {RE40.housing_capacity}"),
-        ],
-        xml=[
-            (
-                r'motorconst="0.1 0.1" resistance="3.0" saturation="0.27722772277227725"',
-                'motorconst="0.0603 0.0603" resistance="1.16" saturation="9"',
-            ),
-            (r'thermal="2.0 12 0 0.0039 25 25"', f'thermal="1.93 {RE40.winding_capacity} 0 0.0039 25 25"'),
-            # The joint is too heavy to turn, and the drive does next to nothing but what it is told.
-            (r'armature="0.20402"', 'armature="1e9"'),
-            (r'controller="0.4 0 0.012 0 0 48"', 'controller="1e-9 0 0 0 0 480"'),
-            (r'actuatorfrcrange="-28 28"', 'actuatorfrcrange="-900 900"'),
-        ],
-    )
-    return load_robot(folder)
-
-
-def as_drawn(winding_to_housing=1.0, winding_capacity=1.0, housing_to_ambient=1.0, housing_capacity=1.0):
-    """The motor, and the draw, of which these are the factors."""
-    factors = dict(locals())
-    motor = replace(RE40, **{name: factor * getattr(RE40, name) for name, factor in factors.items()})
-    return motor, {f"drives.{name}": factor for name, factor in factors.items()}
-
-
-@pytest.mark.parametrize(
-    ("minutes", "hz", "factors"),
-    [(1, 200, ()), (1, 50, (1.2, 0.8, 0.8, 1.2)), (8, 20, (0.8, 1.2, 1.2, 0.8))],
-)
-@pytest.mark.slow
-def test_heat_follows_the_closed_form_within_1_k(tmp_path, minutes, hz, factors):
-    """Two nodes, one in MuJoCo and one beside it, and R(T): a locked joint at a constant 3.12 A."""
-    motor, changes = as_drawn(*factors)
-    spec, ambient = re40_arm(tmp_path, hz), 25.0
-    plant, dt = exact(1, changes, spec=spec), spec.dt
-    tau = np.zeros(N)
-    for k in range(round(minutes * 60 / dt)):
-        plant.step(command(HOME, tau=tau, spec=spec))
-        # A commanded torque sags as the winding warms: the current is held from outside.
-        if k % 20 == 0:
-            measured = plant.current[0, 5]
-            tau[5] = 3.12 * 0.0603 * 101 if k == 0 else tau[5] * 3.12 / measured
-    assert plant.current[0, 5] == pytest.approx(3.12, rel=0.01)
-    winding, housing = temperatures(motor, 3.12, ambient, minutes * 60)
-    truth = plant.truth(0.0)
-    assert truth.winding_c[0, 5] == pytest.approx(winding, abs=1.0)
-    assert truth.housing_c[0, 5] == pytest.approx(housing, abs=1.0)
-    assert truth.winding_c[0, 4] == pytest.approx(ambient, abs=0.5)
-
-
-@pytest.mark.parametrize("modes", [("position", "velocity", "torque"), ("position", "velocity")])
-def test_a_commanded_torque_sags_as_the_winding_heats_if_no_loop_holds_its_current(modes, tmp_path):
-    """Such a drive takes its winding for cold: of the current it asks for, it gets R0 / R(T)."""
-    spec = re40_arm(tmp_path, 50)
-    motors = {name: motor.model_copy(update={"modes": modes}) for name, motor in spec.motors.items()}
-    spec = spec.model_copy(update={"motors": motors})
-    plant, tau = exact(spec=spec), np.zeros(N)
-    tau[5] = 4.0 * 0.0603 * 101
-    for _ in range(60 * 50):
-        plant.step(command(HOME, tau=tau, spec=spec))
-    warmer = plant.truth(0.0).winding_c[0, 5] - 25.0
-    assert warmer > 20.0
-    hot = 1.0 if "torque" in modes else 1.0 + 0.0039 * warmer
-    assert plant.current[0, 5] == pytest.approx(4.0 / hot, rel=1e-3)
