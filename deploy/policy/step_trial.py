@@ -122,7 +122,8 @@ def _run(session: OnnxSession, inputs: Mapping[str, Float32s], source: str) -> d
     try:
         found = session.run(None, inputs)
     except Exception as e:  # ONNX Runtime's errors share no base
-        raise ContractError(f"{source}: cannot be run: {shortened(e)}") from e
+        batch = len(next(iter(inputs.values())))
+        raise ContractError(f"{source}: cannot be run at batch {batch}: {shortened(e)}") from e
     return dict(zip((each.name for each in session.get_outputs()), found, strict=True))
 
 
