@@ -12,8 +12,8 @@ DEPTH_MAX = 64
 """Nesting of tables and lists: parsers, and whatever walks through their results, call themselves for each level."""
 DIGITS_MAX = 100
 """Digits of a number: enough for any of double precision or a seed, too few for one beyond the range of a float."""
-LISTS_FREE, LIST_CHARACTERS = 100_000, 32
-"""Lists and objects of JSON that a text of any length may hold, and characters for each further one: an empty list,
+LISTS_FREE, LIST_CHARACTERS = 10_000, 32
+"""Lists, objects and tables that a text of any length may hold, and characters for each further one: an empty list,
 three characters, takes fifty times as much memory."""
 
 STRINGS = {
@@ -58,8 +58,9 @@ def check_text(
         raise error(f"{source}: found {len(text)} characters of {kind}, expected at most {characters_max}")
     bare = STRINGS[kind].sub('"', text)
     lists, most = bare.count("[") + bare.count("{"), LISTS_FREE + len(text) // LIST_CHARACTERS
-    if kind == "JSON" and lists > most:
-        raise error(f"{source}: found {lists} lists and objects of JSON, expected at most {most}")
+    if lists > most:
+        objects = "objects" if kind == "JSON" else "tables"
+        raise error(f"{source}: found {lists} lists and {objects} of {kind}, expected at most {most}")
     if (depth := _depth(found[0] for found in LEVELS[kind].finditer(bare))) > DEPTH_MAX:
         raise error(f"{source}: found {kind} nested {depth} deep, expected at most {DEPTH_MAX}")
     check_numbers(bare, source, error)

@@ -3,7 +3,6 @@
 A sensor delivers packets: all of its channels, taken at one time. Deviations from the data sheet are in draws.toml.
 """
 
-import math
 from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, PositiveInt, model_validator
@@ -114,7 +113,8 @@ class Sensor(Strict):
         return self.noise**2 + self.resolution**2 / 12.0
 
 
-SITES = {"site": (1, 1, "one"), "feet": (1, math.inf, "at least one")}
+FEET_MAX = 16
+SITES = {"site": (1, 1, "one"), "feet": (1, FEET_MAX, f"1 to {FEET_MAX}")}
 """Number of a sensor's sites, by place: least, most, and both as text; elsewhere none."""
 
 Sensors = dict[Kind, Sensor]

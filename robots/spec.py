@@ -33,6 +33,8 @@ IMU_SENSORS: tuple[Kind, ...] = ("gyro", "accelerometer")
 """Sensors from which a floating base is estimated, with its feet."""
 JOINTS_MAX = 128
 """Joints of a robot and of its model: the memory of a nominal model grows with their cube, here to 0.14 GB."""
+SHAPES_MAX, NEIGHBOURS_MAX, CONTACTS_MAX = 500, 5000, 500
+"""Shapes of a robot, and its pairs of `neighbours` and of `may_touch`."""
 MODEL = "model.xml"
 """Default file name of the model."""
 ModelName = Annotated[
@@ -65,16 +67,18 @@ class RobotSpec(Strict):
     name: RobotName
     model: Annotated[ModelName, Field(exclude_if=_is_default)] = MODEL
     tool: Name | None = None
-    locked: Annotated[tuple[Name, ...], Field(exclude_if=_is_default)] = ()
-    capsules: Annotated[tuple[Capsule, ...], Field(exclude_if=_is_default)] = ()
-    neighbours: Annotated[tuple[tuple[Name, Name], ...], Field(exclude_if=_is_default)] = ()
-    may_touch: Annotated[tuple[MayTouch, ...], Field(exclude_if=_is_default)] = ()
+    locked: Annotated[tuple[Name, ...], Field(max_length=JOINTS_MAX, exclude_if=_is_default)] = ()
+    capsules: Annotated[tuple[Capsule, ...], Field(max_length=SHAPES_MAX, exclude_if=_is_default)] = ()
+    neighbours: Annotated[
+        tuple[tuple[Name, Name], ...], Field(max_length=NEIGHBOURS_MAX, exclude_if=_is_default)
+    ] = ()
+    may_touch: Annotated[tuple[MayTouch, ...], Field(max_length=CONTACTS_MAX, exclude_if=_is_default)] = ()
     rates: Rates
     margins: Margins
     workspace: Workspace | None = None
     base: Base | None = None
     sensors: Sensors
-    motors: dict[Name, Motor]
+    motors: Annotated[dict[Name, Motor], Field(max_length=JOINTS_MAX)]
     joints: Annotated[tuple[Joint, ...], Field(min_length=1, max_length=JOINTS_MAX)]
 
     @model_validator(mode="after")

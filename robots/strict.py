@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from robots.bounded_text import check_text, read_text
 from robots.errors import ConfigError, FirstshiftError
@@ -45,12 +45,17 @@ RobotName = Annotated[str, Field(pattern=ROBOT_NAME)]
 PLACEHOLDER = "?"
 """Value of a draft that is still to be filled in."""
 TOML_CHARACTERS_MAX = 1 << 20
-LINES_MAX = 20
-"""Wrong fields of a file that an error names; the others are counted."""
+LINES_MAX, WRONG_MAX = 20, 10_000
+"""Wrong fields of a file that an error names, the others are counted; and number from which on none is named."""
+KEYS_MAX = 1 << 16
+"""Keys of an object of JSON."""
 OPEN_FIELDS_MAX = 1000
 """Fields still to be filled in that an error names: drafts of robot-init have fewer."""
 
 M = TypeVar("M", bound=Strict)
+T = TypeVar("T")
+Many = Annotated[tuple[T, ...], FailFast()]
+"""List of a large file: an error names its first wrong item only, since each takes memory."""
 
 
 def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = ConfigError) -> M:
@@ -114,8 +119,10 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
     """Return an object of JSON.
 
     Raises:
-        ValueError: it has a key more than once, of which readers would take different ones.
+        ValueError: it has too many keys, or one more than once, of which readers would take different ones.
     """
+    if len(pairs) > KEYS_MAX:
+        raise ValueError(f"{len(pairs)} keys in an object, expected at most {KEYS_MAX}")
     found = dict(pairs)
     if len(found) < len(pairs):
         (key, _), *_ = Counter(key for key, _ in pairs).most_common(1)
@@ -136,11 +143,14 @@ def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftE
     """Return a strict record from plain data; an `error` names the first wrong fields of `source`, and their number.
 
     Raises:
-        FirstshiftError: of class `error`, one line for each of the first `LINES_MAX` fields that are wrong.
+        FirstshiftError: of class `error`, one line for each of the first `LINES_MAX` fields that are wrong, or their
+            number alone beyond `WRONG_MAX`.
     """
     try:
         return schema.model_validate(_tuples(data))
     except ValidationError as e:
+        if e.error_count() > WRONG_MAX:
+            raise error(f"{source}: found {e.error_count():,} wrong fields, expected none") from e
         raise error("\n".join(f"{source}: {line}" for line in _first(_messages(e), LINES_MAX))) from e
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field, PositiveInt, model_validator
 
 from robots.motors.control_mode import ControlMode, ControlModes
+from robots.sensors import FEET_MAX
 from robots.strict import Coordinate, Name, NotNegative, Positive, Source, Strict
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
@@ -312,7 +313,7 @@ class Base(Strict):
         source: where the numbers come from.
     """
 
-    feet: Annotated[tuple[Name, ...], Field(min_length=1)]
+    feet: Annotated[tuple[Name, ...], Field(min_length=1, max_length=FEET_MAX)]
     foot_m: NotNegative
     slip: Positive
     angular_acceleration: Positive

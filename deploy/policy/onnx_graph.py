@@ -7,10 +7,13 @@ import onnx
 from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 from onnx import AttributeProto, GraphProto, ModelProto, TensorProto, numpy_helper
 
+from deploy.policy.onnx_fields import count_fields
 from robots.errors import ContractError, printable
 
 PARTS_MAX = 1 << 14
 """Nodes, their inputs, outputs and attributes, and tensors: a hundred times as many as networks of robots have."""
+FIELDS_MAX = 1 << 18
+"""Fields of an encoded model, and bytes of its lists of integers: decoded, they take up to 50 MB."""
 RANDOM = frozenset(
     {"Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"}
 )
@@ -34,12 +37,21 @@ def decode(data: bytes, source: str) -> ModelProto:
     """Decode a model without checking it.
 
     Raises:
-        ContractError: it is not ONNX.
+        ContractError: it is not ONNX, or has too many fields.
     """
+    try:
+        fields = count_fields(data, FIELDS_MAX)
+    except ValueError as e:
+        raise ContractError(
+            f"{source}: not an ONNX file: its {len(data)} bytes cannot be decoded: {e}"
+        ) from e
+    if fields > FIELDS_MAX:
+        counted = "fields and bytes of lists of integers"
+        raise ContractError(f"{source}: found more than {FIELDS_MAX} {counted}: weights belong into raw_data")
     try:
         return onnx.load_model_from_string(data)
     except DecodeError as e:
-        raise ContractError(f"{source}: not an ONNX file: its {len(data)} bytes cannot be decoded") from e
+        raise ContractError(f"{source}: cannot be decoded: {shortened(e)}") from e
 
 
 def check_model(model: ModelProto, source: str) -> None:

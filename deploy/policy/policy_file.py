@@ -16,14 +16,14 @@ from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY, INPUT, MEMORY, 
 from robots.arrays import Float32s
 from robots.errors import ContractError
 from robots.files import read_file
-from robots.strict import Strict, parse, read_json
+from robots.strict import Many, Strict, parse, read_json
 
 FILE_BYTES_MAX = 256 << 20
 GOLDEN_CHARACTERS_MAX = 16 << 20
 PAIRS_MAX = 64
 """Golden pairs: four times as many as exports write; all are run at each load."""
 
-Rows = Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1, max_length=PAIRS_MAX)]
+Rows = Annotated[Many[Many[Number]], Field(min_length=1, max_length=PAIRS_MAX)]
 
 
 class Golden(Strict):
@@ -131,4 +131,7 @@ def _golden(model: ModelProto, contract: Contract, path: Path) -> tuple[Float32s
 def _matrix(rows: Rows, width: int, source: str) -> Float32s:
     if widths := {len(row) for row in rows} - {width}:
         raise ContractError(f"{source}: found a row of {widths.pop()} numbers, expected {width}")
-    return np.array(rows, dtype=np.float32)
+    exact = np.array(rows)
+    if (largest := float(np.abs(exact).max(initial=0.0))) > float(np.finfo(np.float32).max):
+        raise ContractError(f"{source}: found {largest:g}, expected numbers of single precision")
+    return exact.astype(np.float32)

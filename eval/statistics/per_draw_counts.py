@@ -10,11 +10,11 @@ from pydantic import Field, model_validator
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS
 from robots.arrays import Floats
-from robots.strict import Strict
+from robots.strict import Many, Strict
 
 COUNT_MAX = 1 << 40
 """Upper bound of a count: three times the ticks of the longest soak at 10 kHz; sums over draws stay below 2**63."""
-Column = tuple[Annotated[int, Field(ge=0, le=COUNT_MAX)], ...]
+Column = Many[Annotated[int, Field(ge=0, le=COUNT_MAX)]]
 DT_MIN = 1e-6
 """s, lower bound of a control period: rates, in events per hour, are finite with any count."""
 COLDEST_C, HOTTEST_C = -273.15, 1e5
@@ -43,7 +43,7 @@ class PerDrawCounts(Strict):
     due: Column
     reached: Column
     hard: dict[str, Column]
-    hottest_c: tuple[Celsius | None, ...]
+    hottest_c: Many[Celsius | None]
 
     @model_validator(mode="after")
     def _one_number_of_each_draw(self) -> Self:

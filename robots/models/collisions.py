@@ -12,10 +12,10 @@ from robots.errors import RobotError
 from robots.models.blocks import strided_view
 from robots.models.capsules import all_above, find_near
 from robots.models.collision_pruning import Pairs
-from robots.spec import RobotSpec
+from robots.spec import SHAPES_MAX, RobotSpec
 
-SHAPES_MAX, PAIRS_MAX = 500, 5000
-"""Shapes of a robot, and pairs of them that are checked for collision in every tick."""
+PAIRS_MAX = 5000
+"""Pairs of shapes that are checked for collision in every tick."""
 SLACK = 1e-3
 """m, added to the height above which a capsule is not checked: far more than the rounding of an exact answer."""
 

@@ -51,6 +51,8 @@ WORKING_MEMORY = 15 << 20
 """Least bytes for contacts and the solver, whatever a model states for itself: with too few, MuJoCo ends a step."""
 SIMULATED = 16
 """Robots that a simulation holds at once: one model and one working memory for all, a state for each."""
+BODIES_MAX = 1000
+"""Bodies of a model: names in robot.toml are looked for among them."""
 USER_NUMBERS = tuple(
     f"nuser_{kind}" for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
 )
@@ -92,8 +94,11 @@ def check_size(compiled: mujoco.MjModel, model: Path) -> None:
     """Refuse a model of unknown origin that takes too much memory: processes that use it have no limit of their own.
 
     Raises:
-        RobotError: it needs more than `SIZE_MIB`, or its elements hold more than `USER_NUMBERS_MAX` numbers each.
+        RobotError: it needs more than `SIZE_MIB`, has more than `BODIES_MAX` bodies, or its elements hold more than
+            `USER_NUMBERS_MAX` numbers each.
     """
+    if compiled.nbody > BODIES_MAX:
+        raise RobotError(f"{model}: found {compiled.nbody} bodies, expected at most {BODIES_MAX}")
     for name in USER_NUMBERS:
         if (found := getattr(compiled, name)) > USER_NUMBERS_MAX:
             raise RobotError(f"{model}: size {name}: found {found}, expected at most {USER_NUMBERS_MAX}")
@@ -123,9 +128,10 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
     _lock(mjcf, spec)
     if spec.drives:
         _drive(mjcf, spec)
+    bodies = [body.name for body in mjcf.bodies]
     for pair in spec.neighbours:
         for body in pair:
-            spec.check_known("neighbours", body, "a body", (each.name for each in mjcf.bodies))
+            spec.check_known("neighbours", body, "a body", bodies)
         mjcf.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
     _exclude_mount(mjcf)
     if spec.tool and mjcf.site(spec.tool) is None and (body := mjcf.body(spec.tool)) is not None:

@@ -86,12 +86,13 @@ def test_reading_json_bounds_it_first():
         read_json("[" * (D + 1), "x", 100)
 
 
-def test_json_of_little_but_lists_is_refused():
+def test_text_of_little_but_lists_is_refused():
     """Their memory would be many times that of the text; brackets in strings are no lists."""
     check("JSON", json.dumps([[]] * (LISTS_FREE - 1)))
     check("JSON", json.dumps("[]{}" * LISTS_FREE))
-    for item in ("[]", "{}"):
-        with pytest.raises(
-            ConfigError, match=r"^x: found 200001 lists and objects of JSON, expected at most 118"
-        ):
-            check("JSON", f"[{','.join([item] * 200_000)}]")
+    for kind, parts in (("JSON", "objects"), ("TOML", "tables")):
+        for item in ("[]", "{}"):
+            with pytest.raises(
+                ConfigError, match=rf"^x: found 200001 lists and {parts} of {kind}, expected at most 28750$"
+            ):
+                check(kind, f"[{','.join([item] * 200_000)}]")

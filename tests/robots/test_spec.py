@@ -6,7 +6,8 @@ import pytest
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
-from robots.spec import JOINTS_MAX, RobotSpec, load_robot
+from robots.sensors import FEET_MAX
+from robots.spec import CONTACTS_MAX, JOINTS_MAX, NEIGHBOURS_MAX, SHAPES_MAX, RobotSpec, load_robot
 from support.arm6 import ARM, NO_CLEARANCE, NO_TOOL, NO_WORKSPACE, SPEC, complaint, copy_of_arm
 from support.paths import TEST_ROBOTS
 
@@ -241,6 +242,27 @@ def test_a_robot_with_too_many_joints(tmp_path):
     head, *joints = re.split(r"(?m)^(?=\[\[joints\]\])", path.read_text())
     path.write_text(head + joints[1] * (JOINTS_MAX + 1))
     assert re.search(r"robot\.toml: joints: Tuple should have at most 128 items", complaint(folder))
+
+
+@pytest.mark.parametrize(
+    ("key", "item", "most"),
+    [
+        ("locked", '"a"', JOINTS_MAX),
+        (
+            "capsules",
+            '{body = "a", start = [0.0, 0.0, 0.0], end = [1.0, 0.0, 0.0], radius = 1.0}',
+            SHAPES_MAX,
+        ),
+        ("neighbours", '["a", "b"]', NEIGHBOURS_MAX),
+        ("may_touch", '{bodies = ["a", "b"]}', CONTACTS_MAX),
+        ("base.feet", '"a"', FEET_MAX),
+    ],
+)
+def test_a_robot_with_lists_that_are_too_long(tmp_path, key, item, most):
+    """Each of their names is looked for in the model."""
+    line = f"{key} = [{f'{item}, ' * (most + 1)}]\n"
+    said = complaint(copy_of_arm(tmp_path, toml=[('tool = "tool"', f'{line}tool = "tool"')]))
+    assert re.search(rf"robot\.toml: {key}: Tuple should have at most {most} items", said)
 
 
 def test_a_robot_file_that_is_a_folder(tmp_path):

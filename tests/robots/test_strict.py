@@ -1,3 +1,4 @@
+import json
 import sys
 from typing import Annotated
 
@@ -7,7 +8,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, ValidationError
 from deploy.command_line import exit_code_of
 from deploy.start import BAD_INPUT
 from robots.errors import ConfigError, FirstshiftError, RobotError
-from robots.strict import Strict, parse, read_json, read_toml
+from robots.strict import KEYS_MAX, Many, Strict, parse, read_json, read_toml
 
 
 class Leg(Strict):
@@ -110,6 +111,28 @@ def test_the_first_wrong_fields_are_named_and_the_others_counted(tmp_path):
         lines = [line.removeprefix(source) for line in str(caught.value).split("\n")]
         wrong = ["length: Field required", "wings: Extra inputs are not permitted, found 2"]
         assert lines == [f"parts.p{k}.{each}" for k in range(10) for each in wrong] + more
+
+
+def test_of_very_many_wrong_fields_none_is_named(tmp_path):
+    """To put them in words would take a kilobyte for each."""
+    with pytest.raises(ConfigError, match=r"animal\.toml: found 10,001 wrong fields, expected none$"):
+        read(tmp_path, GOOD + "".join(f"x{k} = 1\n" for k in range(10_001)))
+
+
+def test_of_a_long_list_the_first_wrong_item_is_named():
+    class Nights(Strict):
+        hours: Many[Many[float]]
+
+    with pytest.raises(ConfigError, match=r"^here: hours\.1\.0: Input should be a valid number, found 'x'$"):
+        parse({"hours": [[1.0], ["x"] * 1000, "y"]}, Nights, source="here")
+
+
+def test_json_with_very_many_keys_is_refused():
+    read_json(json.dumps(dict.fromkeys(range(KEYS_MAX))), "x", 1 << 20)
+    with pytest.raises(
+        ConfigError, match=r"^x: not valid JSON: 65537 keys in an object, expected at most 65536"
+    ):
+        read_json(json.dumps(dict.fromkeys(range(KEYS_MAX + 1))), "x", 1 << 20)
 
 
 def test_the_first_open_fields_are_named_and_the_others_counted(tmp_path):

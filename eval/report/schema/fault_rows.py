@@ -3,7 +3,7 @@
 from pydantic import NonNegativeInt
 
 from eval.statistics.numbers import Share
-from robots.strict import Strict
+from robots.strict import Many, Strict
 
 
 class Times(Strict):
@@ -55,7 +55,7 @@ class UnhandledFault(Strict):
     channel: str | None
     start_h: float
     answer: str
-    violations: tuple[str, ...]
+    violations: Many[str]
     stopped_s: float | None
     at_rest_s: float | None
     deviation_rad: float | None
@@ -72,6 +72,6 @@ class FaultTable(Strict):
 
     coverage: Share
     injections: NonNegativeInt
-    rows: tuple[FaultRow, ...]
-    unhandled: tuple[UnhandledFault, ...]
-    not_injected: tuple[str, ...]
+    rows: Many[FaultRow]
+    unhandled: Many[UnhandledFault]
+    not_injected: Many[str]

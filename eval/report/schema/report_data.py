@@ -6,7 +6,7 @@ from eval.report.schema.rows import EventRow, Evidence, MonitorRow, RobotRow, Se
 from eval.report.schema.trend_rows import Trend
 from eval.statistics.budget import BudgetLine
 from eval.statistics.numbers import Count, Number, Share
-from robots.strict import Strict
+from robots.strict import Many, Strict
 
 
 class Exposure(Strict):
@@ -40,8 +40,8 @@ class Heat(Strict):
     joint: str
     soft_c: float
     max_c: float
-    median_c: tuple[Number, ...]
-    hottest_c: tuple[Number, ...]
+    median_c: Many[Number]
+    hottest_c: Many[Number]
     peak_c: Number
     hottest_robot: Count
     above_soft_h: float
@@ -73,11 +73,11 @@ class Wear(Strict):
     name: str
     unit: str
     meaning: str
-    median: tuple[Number, ...]
-    most_worn: tuple[Number, ...]
+    median: Many[Number]
+    most_worn: Many[Number]
     robot: Count
     joint: str
-    joints: tuple[WornJoint, ...]
+    joints: Many[WornJoint]
 
 
 class GoalBin(Strict):
@@ -114,7 +114,7 @@ class Goals(Strict):
     low: Share
     high: Share
     core: CoreGoalCounts | None = None
-    bins: tuple[GoalBin, ...]
+    bins: Many[GoalBin]
     change: str
 
 
@@ -133,19 +133,19 @@ class Report(SoakRecord):
     None without a history.
     """
 
-    budget: tuple[BudgetLine, ...]
+    budget: Many[BudgetLine]
     exposure: Exposure
     evidence: Evidence
     goals: Goals
     stops: Stops
-    monitors: tuple[MonitorRow, ...]
+    monitors: Many[MonitorRow]
     tail_share: Share
-    events: tuple[EventRow, ...]
-    robots: tuple[RobotRow, ...]
+    events: Many[EventRow]
+    robots: Many[RobotRow]
     sensitivity: Sensitivity
-    sample_h: tuple[float, ...]
-    heat: tuple[Heat, ...]
-    wear: tuple[Wear, ...]
+    sample_h: Many[float]
+    heat: Many[Heat]
+    wear: Many[Wear]
     faults: FaultTable | None
     trend: Trend | None
-    limitations: tuple[str, ...]
+    limitations: Many[str]

@@ -2,7 +2,7 @@
 
 from eval.statistics.numbers import Count, Number, Share
 from eval.statistics.sensitivity import Cause
-from robots.strict import Strict
+from robots.strict import Many, Strict
 
 
 class FurtherHours(Strict):
@@ -44,7 +44,7 @@ class Evidence(Strict):
     dispersion: str
     family: Count
     family_confidence: Share
-    further: tuple[FurtherHours, ...]
+    further: Many[FurtherHours]
 
 
 class Channel(Strict):
@@ -90,8 +90,8 @@ class MonitorRow(Strict):
     rate_interval: tuple[Number, Number]
     draw_rate_upper: Number
     family_rate_upper: Number
-    channels: tuple[Channel, ...]
-    load_histogram: tuple[Count, ...]
+    channels: Many[Channel]
+    load_histogram: Many[Count]
 
 
 class EventRow(Strict):
@@ -135,8 +135,8 @@ class RobotRow(Strict):
     latches: Count
     hard_events: Count
     soft_events: Count
-    stopped_h: tuple[float, ...]
-    latched_h: tuple[float, ...]
+    stopped_h: Many[float]
+    latched_h: Many[float]
     unlisted_h: Number
 
 
@@ -152,7 +152,7 @@ class Sensitivity(Strict):
 
     draws: Count
     parameters: Count
-    outcomes: tuple[str, ...]
+    outcomes: Many[str]
     noticeable: Share | None
-    causes: tuple[Cause, ...]
+    causes: Many[Cause]
     statement: str

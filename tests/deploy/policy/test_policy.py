@@ -326,6 +326,10 @@ BAD_POLICIES = [
         f"{GOLDEN_KEY}: action.3.0: Input should be a finite number, found nan",
     ),
     (
+        golden_edit(lambda d: d["action"][15].__setitem__(0, -4e38)),
+        f"{GOLDEN_KEY}: action: found 4e+38, expected numbers of single precision",
+    ),
+    (
         golden_edit(lambda d: d["action"][15].__setitem__(0, 1e3)),
         "golden pairs: found a deviation of 999 at batch 1, expected at most 1e-05",
     ),

@@ -16,7 +16,7 @@ pytest.importorskip("mujoco")
 from robots.errors import RobotError
 from robots.models import sandbox
 from robots.models.files import referenced_files
-from robots.models.mujoco_model import ITERATIONS, SIZE_MIB, USER_NUMBERS_MAX, open_model
+from robots.models.mujoco_model import BODIES_MAX, ITERATIONS, SIZE_MIB, USER_NUMBERS_MAX, open_model
 from robots.models.sandbox import MEMORY_GIB, check_compiles
 
 BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
@@ -88,6 +88,12 @@ def test_too_many_numbers_of_the_user_are_refused(tmp_path, name):
     with pytest.raises(RobotError) as caught:
         check_compiles(path, tmp_path)
     assert str(caught.value) == f"{path}: size {name}: found 1001, expected at most 1000"
+
+
+def test_too_many_bodies_are_refused(tmp_path):
+    path = written(tmp_path, f"<worldbody>{'<body/>' * BODIES_MAX}</worldbody>")
+    with pytest.raises(RobotError, match=r"m.*xml: found 1002 bodies, expected at most 1000$"):
+        check_compiles(path, tmp_path)
 
 
 @pytest.mark.slow
