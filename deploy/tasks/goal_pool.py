@@ -10,9 +10,9 @@ import numpy as np
 from deploy.safety.safety import Safety
 from robots.arrays import Floats
 from robots.errors import RobotError
+from robots.margins import Margins
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec
-from robots.tables import Margins
 
 GOALS_SEED = 20_250_811
 """Seed of the pool, the same for all: a robot's own seed decides the order of its goals."""

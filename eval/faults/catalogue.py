@@ -25,8 +25,9 @@ from eval.faults.fault_class import (
 )
 from eval.faults.plant_effects import PlantFault
 from robots.errors import ConfigError
+from robots.robot_file import IMU_SENSORS
 from robots.sensors import NEEDED, Kind
-from robots.spec import IMU_SENSORS, RobotSpec
+from robots.spec import RobotSpec
 
 NOT_INJECTED = (
     "Ticks late by less than a control period: late ticks are late by whole slots.",

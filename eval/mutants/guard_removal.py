@@ -16,9 +16,9 @@ from deploy.runtime import Runtime
 from deploy.safety.check import UNBOUNDED
 from deploy.state import STOP_MOMENTS, Setpoint, State, Stop, Verdict
 from robots.arrays import Bools, Floats
+from robots.margins import ModeMargins
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
-from robots.tables import ModeMargins
 
 GuardRemoval = Callable[[Runtime], None]
 StopMoment = Literal["first step", "braking", "rest"]

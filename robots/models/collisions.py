@@ -12,7 +12,8 @@ from robots.errors import RobotError
 from robots.models.blocks import strided_view
 from robots.models.capsules import all_above, find_near
 from robots.models.collision_pruning import Pairs
-from robots.spec import SHAPES_MAX, RobotSpec
+from robots.robot_file import SHAPES_MAX
+from robots.spec import RobotSpec
 
 PAIRS_MAX = 5000
 """Pairs of shapes that are checked for collision in every tick."""

@@ -11,7 +11,8 @@ from robots.contacts import GOAL, WORLD
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
 from robots.models.mjcf_places import inherit_places, temporary_model
-from robots.spec import JOINTS_MAX, RobotSpec
+from robots.robot_file import JOINTS_MAX
+from robots.spec import RobotSpec
 from robots.tables import Capsule
 
 Read = tuple[pin.Model, pin.GeometryModel]

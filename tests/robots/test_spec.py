@@ -6,8 +6,9 @@ import pytest
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
+from robots.robot_file import CONTACTS_MAX, JOINTS_MAX, NEIGHBOURS_MAX, SHAPES_MAX
 from robots.sensors import FEET_MAX
-from robots.spec import CONTACTS_MAX, JOINTS_MAX, NEIGHBOURS_MAX, SHAPES_MAX, RobotSpec, load_robot
+from robots.spec import RobotSpec, load_robot
 from support.arm6 import ARM, NO_CLEARANCE, NO_TOOL, NO_WORKSPACE, SPEC, complaint, copy_of_arm
 from support.paths import TEST_ROBOTS
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.motion.torque_ramp import TorqueRamp
+from robots.margins import ModeMargins
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
-from robots.tables import ModeMargins
 from support.arm6 import SPEC
 
 N, DT = SPEC.n, SPEC.dt

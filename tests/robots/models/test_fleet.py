@@ -10,7 +10,8 @@ from robots.models.collisions import collision_pairs
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.models.tool_jacobian import find_manipulability
-from robots.spec import JOINTS_MAX, load_robot
+from robots.robot_file import JOINTS_MAX
+from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.robots.model_files import POST
 
