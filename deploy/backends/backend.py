@@ -113,7 +113,13 @@ class Backend(ABC, Generic[R]):
 
     @abstractmethod
     def open(self, request: Request) -> R:
-        """Connect to the robots, drives off, after `check`; FirstshiftError: not connected, nothing has moved."""
+        """Connect to the robots, drives off, after `check`.
+
+        Any signal meanwhile raises KeyboardInterrupt: what was opened must be released then.
+
+        Raises:
+            FirstshiftError: not connected, nothing has moved.
+        """
 
     def attach(self, robot: R, runtime: "Runtime") -> None:
         """Connect simulated surroundings to the runtime, before the first tick; a robot on a wire needs none."""
