@@ -111,6 +111,7 @@ def start(module: str) -> None:
     _check_working_directory()
     _set_environment()
     _reset_warnings()
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, exit codes of children are lost
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):

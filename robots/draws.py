@@ -109,11 +109,8 @@ def _check_identity(stored: _Stored, path: Path, distributions: Distributions, s
 
 
 def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> Floats:
-    try:
-        read = np.array(data)
-    except ValueError as e:  # rows of different lengths
-        raise ConfigError(f"{where}: not an array of numbers: {data!r:.40}") from e
-    if read.dtype.kind not in "iuf":
+    read = np.array(data, dtype=object)  # of text, numpy would give each item the room of the longest
+    if not {*map(type, read.flat)} <= {int, float}:  # lists in it are rows of different lengths
         raise ConfigError(f"{where}: not an array of numbers: {data!r:.40}")
     values, expected = read.astype(np.float64), shape(quantity, spec)
     if not values.size or values.shape[1:] != expected or not values.ndim:

@@ -7,8 +7,9 @@ import numpy as np
 
 from deploy.policy.actor import Actor
 from deploy.policy.compatibility import check_contract
+from deploy.policy.graph_bounds import check_bounds
 from deploy.policy.inference import BATCHES, load_session
-from deploy.policy.onnx_graph import shortened
+from deploy.policy.onnx_graph import decode, shortened
 from deploy.policy.policy_file import PolicyFile, read_policy_file
 from deploy.policy.policy_names import INPUT, MEMORY, NEXT, OUTPUT
 from robots.arrays import Bools, Float32s
@@ -33,7 +34,7 @@ class Policy(Actor):
 
     def __init__(self, file: PolicyFile, source: str) -> None:
         self.contract, self.digest, self._source = file.contract, file.digest, source
-        self._session = load_session(file.data, source)
+        self._session, self._data, self._bounded = load_session(file.data, source), file.data, {*BATCHES}
         self.resize(1)
 
     @classmethod
@@ -88,16 +89,32 @@ class Policy(Actor):
         self.memory[ids] = 0.0
 
     def replay(self, observation: Float32s, batch: int) -> Float32s:
-        """Return actions (K, A) for observations (K, N) of a policy without memory, `batch` at a time."""
+        """Return actions (K, A) for observations (K, N) of a policy without memory, `batch` at a time.
+
+        Raises:
+            ContractError: the network cannot be run at this batch.
+        """
         rows = np.arange(-(-len(observation) // batch) * batch) % len(observation)
         self.resize(batch)
-        actions = [self._run(observation[chunk]).copy() for chunk in rows.reshape(-1, batch)]
+        actions = [self._tried(observation[chunk]) for chunk in rows.reshape(-1, batch)]
         return np.concatenate(actions)[: len(observation)]
 
     def rehearse(self, observation: Float32s, batch: int) -> Float32s:
-        """Return actions (T, B, A) of B identical robots for a sequence of observations (T, N), from reset."""
+        """Return actions (T, B, A) of B identical robots for a sequence of observations (T, N), from reset.
+
+        Raises:
+            ContractError: the network cannot be run at this batch.
+        """
         self.resize(batch)
-        return np.stack([self._run(np.repeat(row[None], batch, axis=0)).copy() for row in observation])
+        return np.stack([self._tried(np.repeat(row[None], batch, axis=0)) for row in observation])
+
+    def _tried(self, observation: Float32s) -> Float32s:
+        """Return a copy of the actions of a step that may fail."""
+        try:
+            return self._run(observation).copy()
+        except Exception as e:  # ONNX Runtime's errors share no base
+            batch = len(observation)
+            raise ContractError(f"{self._source}: cannot be run at batch {batch}: {shortened(e)}") from e
 
     def _refit(self, shape: tuple[int, ...]) -> None:
         size = self.contract.observation_size
@@ -106,7 +123,14 @@ class Policy(Actor):
         self.resize(shape[0])
 
     def resize(self, robots: int) -> None:
-        """Resize to B robots, reset their memory and preallocate buffers."""
+        """Resize to B robots, reset their memory and preallocate buffers.
+
+        Raises:
+            ContractError: a step of so many robots may need too much memory or work.
+        """
+        if robots not in self._bounded:
+            check_bounds(decode(self._data, self._source), (robots,), self._source)
+            self._bounded.add(robots)
         contract = self.contract
         self._observation = np.zeros((robots, contract.observation_size), np.float32)
         self._action = np.zeros((robots, contract.action_size), np.float32)
@@ -120,13 +144,10 @@ class Policy(Actor):
 
     def verify(self, file: PolicyFile, batch: int) -> None:
         """Verify every golden pair at a batch size."""
-        try:
-            if self.contract.memory:
-                action, expected = self.rehearse(file.observation, batch), file.action[:, None]
-            else:
-                action, expected = self.replay(file.observation, batch), file.action
-        except Exception as e:  # ONNX Runtime's errors share no base
-            raise ContractError(f"{self._source}: cannot be run at batch {batch}: {shortened(e)}") from e
+        if self.contract.memory:
+            action, expected = self.rehearse(file.observation, batch), file.action[:, None]
+        else:
+            action, expected = self.replay(file.observation, batch), file.action
         worst = float(np.abs(action - expected).max())
         if not worst <= AGREEMENT:
             raise ContractError(

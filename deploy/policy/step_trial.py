@@ -70,7 +70,7 @@ def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES, *, gold
     said, complaint = done.stdout.decode(), done.stderr.decode(errors="replace").strip()
     if done.returncode == REFUSED:
         raise ContractError(complaint)
-    if done.returncode:
+    if done.returncode or not said:
         last = complaint.rpartition("\n")[2]
         raise ContractError(f"{bounds}: exit code {done.returncode}{last and f': {last:.200}'}")
     return float(said)

@@ -19,6 +19,8 @@ ELEMENTS_MAX = 10_000
 """Number of XML elements: MuJoCo's time grows with the square of some, and a model is compiled several times."""
 FILES_MAX, FILES_BYTES_MAX = 1000, 1 << 30
 """Number and total size of the files that a model refers to."""
+COMPILERS_MAX = 10
+"""Number of elements `compiler`: each may name directories in which every file is looked for."""
 PACKAGE = "package://"
 GENERATED_OR_EXTERNAL = ("include", "model", "attach", "replicate", "composite", "flexcomp")
 """Elements of MJCF whose parts come from another file, or are made when MuJoCo reads it: Pinocchio knows none."""
@@ -151,15 +153,23 @@ def _named_by_mjcf(
                 " file, all parts written out: Pinocchio reads no other"
             )
     compilers = [compiler.attrib for compiler in root.iter("compiler")]
+    if len(compilers) > COMPILERS_MAX:
+        raise RobotError(
+            f"{model}: found {len(compilers)} elements compiler, expected at most {COMPILERS_MAX}"
+        )
     stripped = {one["strippath"] for one in compilers if "strippath" in one} == {"true"}
-    found = []
+    found, searched = [], dict[tuple[str, str], list[Path]]()
     for element, key, name in _names(root):
-        keys = "assetdir", "texturedir" if element.tag == "texture" else "meshdir"
-        places = [one[each] for one in compilers for each in keys if one.get(each)]
-        for text in (name, *places):
-            _check_no_space(text, model)
-        paths = find_file(Path(name).name if stripped else name, model, folder, places or [""])
-        found.append((element, key, paths))
+        kind = "texturedir" if element.tag == "texture" else "meshdir"
+        if (name, kind) not in searched:
+            if len(searched) == FILES_MAX:
+                raise RobotError(f"{model}: names more than {FILES_MAX} files, expected at most that")
+            places = [one[each] for one in compilers for each in ("assetdir", kind) if one.get(each)]
+            for text in (name, *places):
+                _check_no_space(text, model)
+            file = Path(name).name if stripped else name
+            searched[name, kind] = find_file(file, model, folder, places or [""])
+        found.append((element, key, searched[name, kind]))
     return found
 
 

@@ -3,6 +3,7 @@
 python -P -m robots.models.sandbox MODEL FOLDER CPU_S
 """
 
+import os
 import signal
 import subprocess
 import sys
@@ -20,6 +21,8 @@ WALL_FACTOR = 6
 """Wall time allowed, as a multiple of CPU time: the machine may have other work."""
 REFUSED = 2
 """Exit code for bad input."""
+PASSED = b"passed"
+"""Last words of a child that has compiled a model: an exit code alone may be lost."""
 
 
 def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
@@ -45,7 +48,7 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]  # after MuJoCo's warnings
     if done.returncode == REFUSED:
         raise RobotError(last.replace(arguments[0], str(model)))
-    if done.returncode:
+    if done.returncode or not done.stdout.endswith(PASSED):
         raise RobotError(f"{bounds}: exit code {done.returncode}{last and f': {last:.200}'}")
 
 
@@ -58,6 +61,7 @@ def _main(model: str, folder: str, cpu_s: str) -> int:
     except RobotError as e:
         print(e, file=sys.stderr)
         return REFUSED
+    os.write(sys.stdout.fileno(), PASSED)
     return 0
 
 

@@ -228,6 +228,24 @@ def test_a_request_that_is_ignored_stays_ignored(written, tmp_path, command):
     assert (ended.returncode, ended.stderr, place.read_text()) == (0, b"", "a part")
 
 
+def test_exit_codes_of_children_are_known(written, tmp_path):
+    """Whoever starts the command may ignore that children end: the system then keeps no exit code."""
+    command = "import subprocess, sys\ndef cli():\n    print(subprocess.run(['false']).returncode)"
+    written("parent_command", command)
+    written("ignoring", "import signal\nsignal.signal(signal.SIGCHLD, signal.SIG_IGN)\n")
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import ignoring; from deploy.start import start"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", f"{code}; start('parent_command')"],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        timeout=60,
+        check=True,
+    )
+    assert ended.stdout == b"1\n"
+
+
 @pytest.mark.parametrize(
     "environment",
     [

@@ -142,6 +142,7 @@ def test_a_stored_draw_is_the_same_robots(tmp_path):
         ({"links.mass": [["heavy"] * 6] * 2}, ["links.mass", "not an array of numbers"]),
         ({"links.mass": [["1.0"] * 6] * 2}, ["links.mass", "not an array of numbers"]),
         ({"climate.ambient_c": [True, False]}, ["climate.ambient_c", "not an array of numbers"]),
+        ({"climate.ambient_c": ["x" * 20_000] + [""] * 20_000}, ["climate.ambient_c", "not an array"]),
         ({"climate.ambient_c": 20.0}, ["climate.ambient_c", "found shape ()"]),
         ({"links.mass": [[1.0] * 6, [1.0]]}, ["links.mass", "not an array of numbers"]),
         ({"links.mass": [[10**400] * 6] * 2}, ["found the number 10000000000000000000… of 401 digits"]),

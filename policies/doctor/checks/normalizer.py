@@ -12,11 +12,12 @@ import numpy as np
 from onnx import GraphProto, ModelProto, helper
 
 from deploy.policy.contract import Observed
-from deploy.policy.inference import load_session
-from deploy.policy.onnx_graph import decode
+from deploy.policy.inference import BATCHES, load_session
+from deploy.policy.onnx_graph import decode, shortened
 from deploy.policy.policy_file import PolicyFile
 from deploy.policy.policy_names import INPUT
 from robots.arrays import Float32s, Floats
+from robots.errors import ContractError
 
 MIXING_OPERATORS = ("Gemm", "MatMul", "LSTM", "GRU", "RNN", "Conv", "Scan")
 """Operators that mix the numbers of an observation."""
@@ -70,15 +71,24 @@ def _first_weighted_tensor(graph: GraphProto) -> str | None:
 
 
 def _values_of(model: ModelProto, name: str, file: PolicyFile) -> tuple[Float32s, Float32s]:
-    """Return tensor `name` for an observation of zeros, (M,), and for a step of each number, (N, M)."""
+    """Return tensor `name` for an observation of zeros, (M,), and for a step of each number, (N, M).
+
+    Raises:
+        ContractError: it cannot be computed.
+    """
     cut = ModelProto()
     cut.CopyFrom(model)
     del cut.graph.output[:]
     cut.graph.output.append(helper.make_empty_tensor_value_info(name))
     run = load_session(cut.SerializeToString(), "policy")
-    size = file.contract.observation_size
-    rows = np.concatenate((np.zeros((1, size)), STEP * np.eye(size))).astype(np.float32)
-    memory = np.zeros((len(rows), file.contract.memory), np.float32)
-    feeds = {value.name: memory for value in run.get_inputs()} | {INPUT: rows}
-    found = run.run([name], feeds)[0].reshape(len(rows), -1)
-    return found[0], found[1:]
+    size, batch = file.contract.observation_size, BATCHES[-1]
+    rows = np.zeros((-(-(1 + size) // batch) * batch, size), np.float32)
+    rows[1 : 1 + size] = STEP * np.eye(size)
+    memory = np.zeros((batch, file.contract.memory), np.float32)
+    feeds = {value.name: memory for value in run.get_inputs()}
+    try:
+        parts = [run.run([name], feeds | {INPUT: part})[0] for part in rows.reshape(-1, batch, size)]
+        found = np.concatenate([part.reshape(batch, -1) for part in parts])
+    except Exception as e:  # ONNX Runtime's errors share no base
+        raise ContractError(f"tensor {name!r:.100}: cannot be computed: {shortened(e)}") from e
+    return found[0], found[1 : 1 + size]

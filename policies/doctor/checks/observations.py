@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from deploy.policy.contract import Observed
+from deploy.policy.inference import BATCHES
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Message, failed, flag, format_values, passed, warned
 from policies.doctor.checks.normalizer import Statistics
@@ -127,7 +128,7 @@ def _influence_of_terms(context: CheckContext) -> Iterator[tuple[str, float]]:
 
 def _actions(context: CheckContext, rows: Float32s) -> Float32s:
     low, high = context.contract.action.bounds
-    return np.clip(context.policy.replay(rows, len(rows)), low, high)
+    return np.clip(context.policy.replay(rows, BATCHES[-1]), low, high)
 
 
 def training(context: CheckContext) -> Iterator[Message]:

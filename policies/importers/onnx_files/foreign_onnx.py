@@ -199,9 +199,14 @@ class _OnnxRunner:
         self._session = load_session(data, source, batches=(1,))
         self._observation, self._memory, self._source = observation, memory, source
         self._outputs = [action, *(piece.output_name for piece in memory)]
+        (self._shape,) = (_shape(value, source) for value in model.graph.output if value.name == action)
 
     def run(self, observations: Float32s, resets: NDArray[np.bool_]) -> Float32s:
-        """Return actions, as `reference_policy.RunSequence`."""
+        """Return actions, as `reference_policy.RunSequence`.
+
+        Raises:
+            ContractError: the model cannot be run, or gives actions of another shape than it declares.
+        """
         initial = {piece.input_name: np.zeros(piece.shape, np.float32) for piece in self._memory}
         actions, state = [], initial
         for row, reset in zip(observations, resets, strict=True):
@@ -211,6 +216,9 @@ class _OnnxRunner:
             except Exception as e:  # ONNX Runtime's errors share no base
                 raise ContractError(f"{self._source}: cannot be run: {shortened(e)}") from e
             state = dict(zip(initial, next_state, strict=True))
+            if np.shape(action) != self._shape:
+                found = f"found shape {np.shape(action)}, expected {self._shape} as declared"
+                raise ContractError(f"{self._source}: {self._outputs[0]!r}: {found}")
             actions.append(action[0])
         return np.array(actions, dtype=np.float32)
 

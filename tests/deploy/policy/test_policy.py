@@ -358,6 +358,41 @@ def test_a_bad_policy_is_refused_at_load(tmp_path, edit, message):
     assert len(str(caught.value)) < 1000
 
 
+def looked_up(model, table, *nodes):
+    """Add to the actions a number that the number of robots chooses from a table, after some nodes."""
+    model.graph.node[-1].output[0] = "a"
+    model.graph.initializer.append(numpy_helper.from_array(np.array(table), "table"))
+    shape = helper.make_node("Shape", ["observation"], ["robots"], start=0, end=1)
+    found = helper.make_node("Gather", ["table", "robots"], ["found"])
+    model.graph.node.extend([shape, found, *nodes, helper.make_node("Add", ["a", "more"], ["action"])])
+
+
+def test_a_policy_that_is_large_for_some_number_of_robots_is_not_run_for_so_many(tmp_path):
+    """It is tried for 1 and for 64."""
+    model, sizes = policy_model(), np.ones(65, np.int64)
+    sizes[8] = 1 << 40
+    zeros = helper.make_node("ConstantOfShape", ["found"], ["zeros"])
+    looked_up(model, sizes, zeros, helper.make_node("ReduceSum", ["zeros"], ["more"], keepdims=0))
+    policy, observation = loaded(tmp_path, model), np.ones((8, N), np.float32)
+    for run in (policy.step, lambda rows: policy.replay(rows, 8), lambda _: policy.resize(8)):
+        with pytest.raises(
+            ContractError, match=r"policy\.onnx: for a batch of 8: node 'zeros'.*: found 1099511627"
+        ):
+            run(observation)
+    np.testing.assert_allclose(policy.step(observation[:7]), by_numpy(observation[:7], weights()), atol=1e-5)
+
+
+def test_a_policy_that_fails_for_some_number_of_robots_is_named(tmp_path):
+    model, entries = policy_model(), np.zeros(65, np.float32)
+    looked_up(model, entries, helper.make_node("Identity", ["found"], ["more"]))
+    policy, observation = loaded(tmp_path, model), np.ones((66, N), np.float32)
+    for run in (policy.replay, policy.rehearse):
+        with pytest.raises(
+            ContractError, match=r"policy\.onnx: cannot be run at batch 66: .*out of data bounds"
+        ):
+            run(observation, 66)
+
+
 def test_weights_of_every_float_type_are_checked(tmp_path):
     for dtype in (np.float16, np.float64):
         model = policy_model()

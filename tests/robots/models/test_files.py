@@ -221,6 +221,39 @@ def test_a_mesh_outside_of_the_folder_is_refused(tmp_path, name, why):
             reader(spec)
 
 
+def mjcf_of(folder, compilers, names):
+    """A model that names files, which are looked for in the folder of each of its compilers."""
+    (folder / "m.stl").write_bytes(b"")
+    head = '<compiler meshdir="."/>' * compilers
+    meshes = "".join(f'<mesh name="{number}" file="{name}"/>' for number, name in enumerate(names))
+    path = folder / "model.xml"
+    path.write_text(f"<mujoco>{head}<asset>{meshes}</asset></mujoco>")
+    return path
+
+
+def test_each_file_is_looked_for_once(tmp_path, monkeypatch):
+    looked, find_file = [], model_files.find_file
+    monkeypatch.setattr(model_files, "find_file", lambda *each: looked.append(each[0]) or find_file(*each))
+    found = model_files.referenced_files(mjcf_of(tmp_path, 2, ["m.stl"] * 1000), tmp_path)
+    assert (looked, found) == (["m.stl"], (tmp_path / "m.stl",))
+
+
+@pytest.mark.parametrize(
+    ("compilers", "names", "words"),
+    [
+        (11, ["m.stl"], "found 11 elements compiler, expected at most 10"),
+        (
+            1,
+            [f"{'./' * number}m.stl" for number in range(1001)],
+            "names more than 1000 files, expected at most",
+        ),
+    ],
+)
+def test_files_of_a_model_are_not_looked_for_without_end(tmp_path, compilers, names, words):
+    with pytest.raises(RobotError, match=rf"model\.xml: {words}"):
+        model_files.referenced_files(mjcf_of(tmp_path, compilers, names), tmp_path)
+
+
 @pytest.mark.parametrize(
     ("bound", "words"),
     [

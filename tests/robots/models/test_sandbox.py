@@ -2,6 +2,7 @@
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 
@@ -88,6 +89,18 @@ def test_too_many_numbers_of_the_user_are_refused(tmp_path, name):
     with pytest.raises(RobotError) as caught:
         check_compiles(path, tmp_path)
     assert str(caught.value) == f"{path}: size {name}: found 1001, expected at most 1000"
+
+
+def test_a_child_whose_exit_code_is_lost_must_say_that_it_passed(tmp_path):
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        check_compiles(written(tmp_path), tmp_path)
+        with pytest.raises(
+            RobotError, match=r"model\.xml: MuJoCo cannot compile it within .*found 1002 bodies"
+        ):
+            check_compiles(written(tmp_path, f"<worldbody>{'<body/>' * BODIES_MAX}</worldbody>"), tmp_path)
+    finally:
+        signal.signal(signal.SIGCHLD, before)
 
 
 def test_too_many_bodies_are_refused(tmp_path):
