@@ -6,22 +6,18 @@ from typing import Annotated, Self
 from pydantic import Field, PositiveInt, model_validator
 
 from robots.motors.control_mode import ControlMode
-from robots.strict import NotNegative, Positive, Strict
+from robots.strict import NotNegative, Positive, Strict, is_none
 
 Fraction = Annotated[float, Field(ge=1e-3, le=1)]
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 class ModeMargins(Strict):
     """Margins that differ in one control mode: see `Margins`; None: the same as in the others."""
 
-    q_soft_rad: Annotated[Positive | None, Field(exclude_if=_is_none)] = None
+    q_soft_rad: Annotated[Positive | None, Field(exclude_if=is_none)] = None
     speed: Fraction | None = None
     tau: Fraction | None = None
-    tool_speed: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
+    tool_speed: Annotated[Fraction | None, Field(exclude_if=is_none)] = None
     collision_m: Positive | None = None
     workspace_m: Positive | None = None
 
@@ -40,7 +36,7 @@ class Margins(Strict):
         tool_speed: the tool's speed at a setpoint and in its stop, as a fraction of tool_speed_max, of robots with a
             workspace; None: as `speed`.
         collision_m: clearance between capsules; without it, self-collision is not checked.
-        workspace_m: how far inside the workspace setpoints stay; of robots with a workspace, and of all of those.
+        workspace_m: how far inside the workspace setpoints stay; required with a workspace, refused without.
         singularity: least manipulability (`Kinematics.manipulability`), m³ for a six-joint arm, of robots with a tool;
             without it, singularities are not checked.
         tracking_rad: tracking error, setpoint minus estimate, that stops the robot.
@@ -51,9 +47,9 @@ class Margins(Strict):
             without it, oscillation is not looked for. Its speed is looked at 50 times a second.
         winding_k, winding_share: K, and share of its rise over the housing, by which a winding may be hotter than
             estimated: the robot latches when it may have come to winding_max_c.
-        fold_min: share of its current that a motor keeps there. From winding_soft_c on it falls to this share.
-        pace_min: share of speed and acceleration that setpoints keep there: low enough for the motion
-            to need no more current than is left, gravity included.
+        fold_min: share of its current that a motor keeps at winding_max_c. From winding_soft_c on it falls to that.
+        pace_min: share of speed and acceleration that setpoints keep at winding_max_c: low enough for the motion to
+            need no more current than is left, gravity included.
         velocity_mode: what differs in velocity mode, where a policy may shake.
         torque_mode: what differs in torque mode, where motion is predicted and estimated with larger errors; needed if
             the drives have that mode.
@@ -63,7 +59,7 @@ class Margins(Strict):
     q_soft_rad: Positive
     speed: Fraction
     tau: Fraction
-    tool_speed: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
+    tool_speed: Annotated[Fraction | None, Field(exclude_if=is_none)] = None
     collision_m: Positive | None = None
     workspace_m: Positive | None = None
     singularity: Positive | None = None
@@ -72,13 +68,13 @@ class Margins(Strict):
     lost_s: Annotated[Positive, Field(le=1.0)]
     stops_max: Annotated[PositiveInt, Field(le=1000)]
     stops_s: Annotated[Positive, Field(le=86_400.0)]
-    oscillation_hz: Annotated[Positive | None, Field(le=20.0, exclude_if=_is_none)] = None
+    oscillation_hz: Annotated[Positive | None, Field(le=20.0, exclude_if=is_none)] = None
     winding_k: Positive
     winding_share: NotNegative
     fold_min: Fraction
     pace_min: Fraction
-    velocity_mode: Annotated[ModeMargins | None, Field(exclude_if=_is_none)] = None
-    torque_mode: Annotated[ModeMargins | None, Field(exclude_if=_is_none)] = None
+    velocity_mode: Annotated[ModeMargins | None, Field(exclude_if=is_none)] = None
+    torque_mode: Annotated[ModeMargins | None, Field(exclude_if=is_none)] = None
 
     def of(self, mode: ControlMode) -> Self:
         """Return the margins in a control mode."""
@@ -87,10 +83,11 @@ class Margins(Strict):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        for own in (self, self.velocity_mode):  # targets of torque mode are no angles
+        margins = {"q_soft_rad": self, "velocity_mode.q_soft_rad": self.velocity_mode}
+        for name, own in margins.items():  # targets of torque mode are no angles
             soft = own.q_soft_rad if own else None
             if soft is not None and not soft < self.q_target_rad:
-                raise ValueError(f"q_soft_rad {soft} is not below q_target_rad {self.q_target_rad}")
+                raise ValueError(f"{name} {soft} is not below q_target_rad {self.q_target_rad}")
         if not self.stale_s < self.lost_s:
             raise ValueError(f"stale_s {self.stale_s} is not below lost_s {self.lost_s}")
         return self

@@ -18,6 +18,8 @@ IMU_SENSORS: tuple[Kind, ...] = ("gyro", "accelerometer")
 """Sensors from which a floating base is estimated, with its feet."""
 JOINTS_MAX = 128
 """Joints of a robot and of its model: the memory of a nominal model grows with their cube, here to 0.14 GB."""
+BODIES_MAX = 1000
+"""Bodies of a model: names in robot.toml are looked for among them."""
 SHAPES_MAX, NEIGHBOURS_MAX, CONTACTS_MAX = 500, 5000, 500
 """Shapes of a robot, and its pairs of `neighbours` and of `may_touch`."""
 MODEL = "model.xml"
@@ -39,6 +41,7 @@ class RobotFile(Strict):
     `RobotSpec`.
 
     Attributes:
+        name: of the robot, which contracts carry.
         model: file of the folder, MJCF (.xml) or URDF (.urdf).
         tool: a site or a body of the model.
         workspace: bounds on the tool; of a robot with a base, in the frame of its root body.
@@ -47,6 +50,7 @@ class RobotFile(Strict):
         capsules: shapes of bodies for collision checks; empty for the shapes of the model.
         neighbours: pairs of bodies that are always near each other, and are not checked for collision.
         may_touch: pairs of bodies whose contact is no collision.
+        rates, margins, sensors, motors, joints: see their classes; motors by name, joints in the order of every vector.
     """
 
     name: RobotName

@@ -114,6 +114,7 @@ class Sensor(Strict):
 
 
 FEET_MAX = 16
+"""Feet of a robot, and sites of its contact sensor."""
 SITES = {"site": (1, 1, "one"), "feet": (1, FEET_MAX, f"1 to {FEET_MAX}")}
 """Number of a sensor's sites, by place: least, most, and both as text; elsewhere none."""
 

@@ -31,7 +31,7 @@ class RobotSpec(RobotFile):
     """Robot: contents of robot.toml, and what follows from them.
 
     Attributes:
-        folder: of robot.toml and the model.
+        folder: absolute path of the folder of robot.toml and the model.
     """
 
     folder: Path

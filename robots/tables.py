@@ -8,17 +8,13 @@ from pydantic import Field, PositiveInt, model_validator
 
 from robots.motors.control_mode import ControlModes
 from robots.sensors import FEET_MAX
-from robots.strict import Coordinate, Name, NotNegative, Positive, Source, Strict
+from robots.strict import Coordinate, Name, NotNegative, Positive, Source, Strict, is_none
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
 Heat = Annotated[float, Field(ge=1, le=300)]
 """Limit of a temperature, °C: the judge divides by it."""
 POSITION_ONLY: ControlModes = ("position",)
 """Control modes of a motor that names none."""
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 class TorqueMode(Strict):
@@ -63,7 +59,7 @@ class Joint(Strict):
     acceleration_density: Positive
     play: NotNegative
     motor: Name
-    torque_mode: Annotated[TorqueMode | None, Field(exclude_if=_is_none)] = None
+    torque_mode: Annotated[TorqueMode | None, Field(exclude_if=is_none)] = None
     source: Source
 
     @model_validator(mode="after")

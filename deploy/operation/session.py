@@ -70,7 +70,7 @@ class Options:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
-    """What moves the robot.
+    """Policy or operator that moves the robot.
 
     Attributes:
         name: for the summary: the policy's file. actor: in the place of the policy.

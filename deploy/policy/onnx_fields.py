@@ -1,6 +1,6 @@
 """Number of the fields of an encoded ONNX model, counted before it is decoded.
 
-An empty message of two bytes takes a hundred when it is decoded, and a file of 100 MB of them 10 GB. The encoding is
+An empty message of two bytes takes up to 200 when it is decoded: a file of 100 MB of them took 10 GB. The encoding is
 that of Protocol Buffers: https://protobuf.dev/programming-guides/encoding/
 """
 
@@ -21,14 +21,15 @@ VARINTS = (
     FieldDescriptor.TYPE_INT64,
     FieldDescriptor.TYPE_UINT64,
 )
-"""Types of which a list may have a number in each byte, and needs eight for each when it is decoded."""
+"""Types whose lists may hold a number in each byte; decoded, each takes four or eight."""
 
 
 def count_fields(data: bytes, most: int) -> int:
-    """Return the number of fields in all messages of an encoded model, and of bytes in its lists of integers.
+    """Return a sum: the fields in all messages of an encoded model, and the bytes of its lists of integers.
 
     Args:
-        most: the count ends soon after it.
+        data: encoded `ModelProto`.
+        most: the count ends as soon as the sum is beyond it.
 
     Raises:
         ValueError: the data are no protocol buffer.
@@ -49,8 +50,13 @@ def count_fields(data: bytes, most: int) -> int:
 
 
 def _fields(data: bytes, place: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Yield the number of each field of a message, and the place in the data of what has a length, or (0, 0)."""
+    """Yield number, first byte and end of the content of each field in data[place:end]; (number, 0, 0) without length.
+
+    Raises:
+        ValueError: they are no fields.
+    """
     while place < end:
+        begin = place
         tag, place = _varint(data, place, end)
         number, wire = tag >> 3, tag & 7
         first = 0
@@ -62,7 +68,7 @@ def _fields(data: bytes, place: int, end: int) -> Iterator[tuple[int, int, int]]
         elif wire in WIDTHS:
             place += WIDTHS[wire]
         else:
-            raise ValueError(f"wire type {wire} at byte {place}")
+            raise ValueError(f"wire type {wire} at byte {begin}")
         if not number:
             raise ValueError("a field of number 0")
         if place > end:
@@ -71,7 +77,11 @@ def _fields(data: bytes, place: int, end: int) -> Iterator[tuple[int, int, int]]
 
 
 def _varint(data: bytes, place: int, end: int) -> tuple[int, int]:
-    """Return a number of any length, and the place after it."""
+    """Return the number of any length at a place, and the place after it.
+
+    Raises:
+        ValueError: it has no end.
+    """
     value = 0
     for shift, byte in enumerate(data[place : min(place + VARINT_BYTES_MAX, end)]):
         value |= (byte & 0x7F) << (7 * shift)

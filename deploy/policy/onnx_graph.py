@@ -47,11 +47,13 @@ def decode(data: bytes, source: str) -> ModelProto:
         ) from e
     if fields > FIELDS_MAX:
         counted = "fields and bytes of lists of integers"
-        raise ContractError(f"{source}: found more than {FIELDS_MAX} {counted}: weights belong into raw_data")
+        raise ContractError(f"{source}: found more than {FIELDS_MAX} {counted}: store weights in raw_data")
     try:
         return onnx.load_model_from_string(data)
     except DecodeError as e:
-        raise ContractError(f"{source}: cannot be decoded: {shortened(e)}") from e
+        raise ContractError(
+            f"{source}: not an ONNX file: its {len(data)} bytes cannot be decoded: {shortened(e)}"
+        ) from e
 
 
 def check_model(model: ModelProto, source: str) -> None:

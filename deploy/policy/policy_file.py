@@ -23,6 +23,8 @@ GOLDEN_CHARACTERS_MAX = 16 << 20
 PAIRS_MAX = 64
 """Golden pairs: four times as many as exports write; all are run at each load."""
 
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+
 Rows = Annotated[Many[Many[Number]], Field(min_length=1, max_length=PAIRS_MAX)]
 
 
@@ -132,6 +134,7 @@ def _matrix(rows: Rows, width: int, source: str) -> Float32s:
     if widths := {len(row) for row in rows} - {width}:
         raise ContractError(f"{source}: found a row of {widths.pop()} numbers, expected {width}")
     exact = np.array(rows)
-    if (largest := float(np.abs(exact).max(initial=0.0))) > float(np.finfo(np.float32).max):
-        raise ContractError(f"{source}: found {largest:g}, expected numbers of single precision")
+    for row, column in np.argwhere(np.abs(exact) > FLOAT32_MAX):
+        found = f"found {exact[row, column]:g}, expected at most {FLOAT32_MAX:g} either way"
+        raise ContractError(f"{source}.{row}.{column}: {found}: single precision")
     return exact.astype(np.float32)

@@ -14,7 +14,7 @@ from eval.faults.fault_class import FaultClass, Injection, Part, SensorFault
 from robots.randomness import Keys, Stream, generator_at, stream_keys
 from robots.sensors import Kind
 from robots.spec import RobotSpec
-from robots.strict import Strict
+from robots.strict import Many, Strict
 
 FIRST_S, SPREAD_S = 3.0, 2.0
 """Begin of the first slot, s, and span in which a fault begins in its slot, s, so that each meets another motion."""
@@ -42,7 +42,7 @@ class FaultSettings(Strict):
     coverage: Annotated[float, Field(gt=0, lt=1)]
     cycle_s: Annotated[float, Field(ge=LEAST_CYCLE_S, le=SECONDS_MAX)]
     operator_s: Annotated[float, Field(ge=0, le=LEAST_CYCLE_S)]
-    classes: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    classes: Annotated[Many[str], Field(min_length=1)] | None = None
 
     def injects(self, fault: FaultClass) -> bool:
         """Return whether a class is injected."""

@@ -15,7 +15,7 @@ WORK = "import sys; from eval.fuzz.worker import work; work(*sys.argv[1:])"
 
 @dataclass(slots=True)
 class Findings:
-    """What came of the cases of one target.
+    """Outcome of the cases of one target.
 
     Attributes:
         counts: cases by outcome, accepted or refused. slowest: s.

@@ -20,7 +20,7 @@ OPTION = "render_mode {!r}"
 
 
 class Pose(NamedTuple):
-    """What a picture shows: joints (n,) rad, base (7,) or None where mounted, goal (3,) m and its tolerance."""
+    """Content of a picture: joints (n,) rad, base (7,) or None where mounted, goal (3,) m and its tolerance."""
 
     q: Floats
     base: Floats | None

@@ -87,7 +87,7 @@ class RobotEnv(gymnasium.Env[Any, Any]):
 
 
 class RobotGoalEnv(RobotEnv):
-    """The same with goals for hindsight: one goal in an episode, and its sparse reward."""
+    """Environment with goals for hindsight: one goal in an episode, and its sparse reward."""
 
     goal: ClassVar[bool] = True
 

@@ -113,7 +113,7 @@ class RobotVectorEnv(VectorEnv[Any, NDArray[np.float32], Any]):
 
 
 class RobotGoalVectorEnv(RobotVectorEnv):
-    """The same with goals for hindsight: one goal in an episode, and its sparse reward."""
+    """Environment with goals for hindsight: one goal in an episode, and its sparse reward."""
 
     goal: ClassVar[bool] = True
 

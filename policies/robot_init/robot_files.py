@@ -22,7 +22,8 @@ SENSORS = ("encoder", "current", "temperature")
 ESTIMATE = "estimate, replace by the data sheet"
 
 HEAD = """{name}: values of the model are filled in. Replace every "?" and check every estimate.
-SI units unless a key ends in a unit. Keys are explained in robots/spec.py, tables.py and sensors.py."""
+SI units unless a key ends in a unit. Keys are explained in robots/robot_file.py, margins.py,
+tables.py and sensors.py."""
 MOTOR = {
     "housing_resistance_k_per_w": "K/W, housing to ambient",
     "housing_capacity_j_per_k": "J/K",

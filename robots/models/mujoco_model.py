@@ -7,6 +7,7 @@ import numpy as np
 
 from robots.errors import RobotError
 from robots.models.files import is_urdf, referenced_files, urdf_text
+from robots.robot_file import BODIES_MAX
 from robots.spec import RobotSpec
 from robots.tables import Drive, Joint
 
@@ -51,8 +52,6 @@ WORKING_MEMORY = 15 << 20
 """Least bytes for contacts and the solver, whatever a model states for itself: with too few, MuJoCo ends a step."""
 SIMULATED = 16
 """Robots that a simulation holds at once: one model and one working memory for all, a state for each."""
-BODIES_MAX = 1000
-"""Bodies of a model: names in robot.toml are looked for among them."""
 USER_NUMBERS = tuple(
     f"nuser_{kind}" for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
 )
@@ -97,8 +96,8 @@ def check_size(compiled: mujoco.MjModel, model: Path) -> None:
         RobotError: it needs more than `SIZE_MIB`, has more than `BODIES_MAX` bodies, or its elements hold more than
             `USER_NUMBERS_MAX` numbers each.
     """
-    if compiled.nbody > BODIES_MAX:
-        raise RobotError(f"{model}: found {compiled.nbody} bodies, expected at most {BODIES_MAX}")
+    if (bodies := compiled.nbody - 1) > BODIES_MAX:  # without the world
+        raise RobotError(f"{model}: found {bodies} bodies, expected at most {BODIES_MAX}")
     for name in USER_NUMBERS:
         if (found := getattr(compiled, name)) > USER_NUMBERS_MAX:
             raise RobotError(f"{model}: size {name}: found {found}, expected at most {USER_NUMBERS_MAX}")

@@ -11,7 +11,7 @@ from robots.contacts import GOAL, WORLD
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
 from robots.models.mjcf_places import inherit_places, temporary_model
-from robots.robot_file import JOINTS_MAX
+from robots.robot_file import BODIES_MAX, JOINTS_MAX
 from robots.spec import RobotSpec
 from robots.tables import Capsule
 
@@ -39,10 +39,11 @@ def read_pinocchio(spec: RobotSpec) -> Read:
         raise RobotError(f"{path}: Pinocchio cannot read it: {e!s:.300}") from e
     if spec.locked:
         model, geometry = _lock(spec, model, geometry)
+    bodies = [frame.name for frame in model.frames if frame.type == BODY]
     for body in {body for pair in spec.neighbours for body in pair}:
-        _frame(spec, model, body, "neighbours")
+        spec.check_known("neighbours", body, "a body", bodies)
     for body in {body for pair in spec.may_touch for body in pair.bodies} - {GOAL, WORLD}:
-        _frame(spec, model, body, "may_touch")
+        spec.check_known("may_touch", body, "a body", bodies)
     if spec.capsules:
         geometry = _capsules(spec, model, geometry)
     _add_rotors(spec, model)
@@ -50,8 +51,14 @@ def read_pinocchio(spec: RobotSpec) -> Read:
 
 
 def _check_joints(path: Path) -> None:
-    """Refuse (RobotError) too many joints, locked ones included, for which Pinocchio takes memory as it reads."""
-    joints = read_xml(path).findall("joint" if is_urdf(path) else "worldbody//joint")
+    """Refuse (RobotError) too many bodies, or joints, locked ones included: Pinocchio takes memory as it reads."""
+    root, urdf = read_xml(path), is_urdf(path)
+    bodies, joints = (
+        root.findall("link" if urdf else "worldbody//body"),
+        root.findall("joint" if urdf else "worldbody//joint"),
+    )
+    if len(bodies) > BODIES_MAX:
+        raise RobotError(f"{path}: found {len(bodies)} bodies, expected at most {BODIES_MAX}")
     if (found := sum(joint.get("type") not in ("fixed", "free") for joint in joints)) > JOINTS_MAX:
         raise RobotError(f"{path}: found {found} joints, expected at most {JOINTS_MAX}")
 
@@ -183,8 +190,10 @@ def _capsules(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) ->
     for shape in geometry.geometryObjects:
         if shape.parentFrame == 0:
             shapes.addGeometryObject(shape)
+    bodies = [frame.name for frame in model.frames if frame.type == BODY]
     for number, capsule in enumerate(spec.capsules):
-        frame = _frame(spec, model, capsule.body, f"capsules.{number}.body")
+        spec.check_known(f"capsules.{number}.body", capsule.body, "a body", bodies)
+        frame = int(model.getFrameId(capsule.body, BODY))
         body = model.frames[frame]
         place, shape = body.placement * _placement(capsule), coal.Capsule(capsule.radius, _length(capsule))
         name = f"{capsule.body} {number}"
@@ -201,8 +210,3 @@ def _placement(capsule: Capsule) -> pin.SE3:
     along = np.subtract(capsule.end, capsule.start)
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along)
     return pin.SE3(turn.toRotationMatrix(), np.add(capsule.start, capsule.end) / 2.0)
-
-
-def _frame(spec: RobotSpec, model: pin.Model, body: str, field: str) -> int:
-    spec.check_known(field, body, "a body", (frame.name for frame in model.frames if frame.type == BODY))
-    return int(model.getFrameId(body, BODY))

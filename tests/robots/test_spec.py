@@ -6,8 +6,8 @@ import pytest
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
-from robots.robot_file import CONTACTS_MAX, JOINTS_MAX, NEIGHBOURS_MAX, SHAPES_MAX
-from robots.sensors import FEET_MAX
+from robots.robot_file import BODIES_MAX, CONTACTS_MAX, JOINTS_MAX, NEIGHBOURS_MAX, SHAPES_MAX
+from robots.sensors import FEET_MAX, check_sensors
 from robots.spec import RobotSpec, load_robot
 from support.arm6 import ARM, NO_CLEARANCE, NO_TOOL, NO_WORKSPACE, SPEC, complaint, copy_of_arm
 from support.paths import TEST_ROBOTS
@@ -130,7 +130,7 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         (
             r"\[margins.torque_mode\]",
             "[margins.velocity_mode]\nq_soft_rad = 0.05\n[margins.torque_mode]",
-            ["margins", "q_soft_rad 0.05", "q_target_rad 0.05"],
+            ["margins: velocity_mode.q_soft_rad 0.05 is not below q_target_rad 0.05"],
         ),
         ("tau = 0.46 ", "tau = 1.1 ", ["margins.tau", "less than or equal to 1", "1.1"]),
         ("q_soft_rad = 0.03", "q_soft_rad = 0.06", ["margins", "q_soft_rad 0.06", "q_target_rad 0.05"]),
@@ -264,6 +264,29 @@ def test_a_robot_with_lists_that_are_too_long(tmp_path, key, item, most):
     line = f"{key} = [{f'{item}, ' * (most + 1)}]\n"
     said = complaint(copy_of_arm(tmp_path, toml=[('tool = "tool"', f'{line}tool = "tool"')]))
     assert re.search(rf"robot\.toml: {key}: Tuple should have at most {most} items", said)
+
+
+def test_a_robot_with_too_many_motors():
+    (_, motor), *_ = SPEC.motors.items()
+    more = {f"m{number}": motor for number in range(JOINTS_MAX)}
+    with pytest.raises(ValueError, match="motors\n  Dictionary should have at most 128 items"):
+        RobotSpec.model_validate({**dict(SPEC), "motors": SPEC.motors | more})
+
+
+def test_a_contact_sensor_at_too_many_feet():
+    quadruped = load_robot("quadruped")
+    contact = quadruped.sensors["contact"].model_copy(update={"sites": tuple(map(str, range(FEET_MAX + 1)))})
+    with pytest.raises(ValueError, match=r"sensors\.contact\.sites: found .*, expected 1 to 16$"):
+        check_sensors(quadruped.sensors | {"contact": contact}, quadruped.rates.control_hz)
+
+
+def test_a_model_with_too_many_bodies(tmp_path):
+    bodies = "<body><inertial mass='1' pos='0 0 0' diaginertia='1 1 1'/></body>" * BODIES_MAX
+    spec = load_robot(
+        copy_of_arm(tmp_path, xml=[('<body name="forearm_link"', f'{bodies}<body name="forearm_link"')])
+    )
+    with pytest.raises(RobotError, match=r"model\.xml: found 1007 bodies, expected at most 1000$"):
+        Fleet(spec, 1)
 
 
 def test_a_robot_file_that_is_a_folder(tmp_path):

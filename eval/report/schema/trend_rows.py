@@ -3,7 +3,7 @@
 from pydantic import NonNegativeInt
 
 from eval.statistics.numbers import Share
-from robots.strict import Strict
+from robots.strict import Many, Strict
 
 
 class Estimate(Strict):
@@ -55,7 +55,7 @@ class RunGroup(Strict):
     policy: str
     policy_digest: str
     code_digest: str
-    changed: tuple[str, ...]
+    changed: Many[str]
     runs: NonNegativeInt
     draws: NonNegativeInt
     running_hours: float
@@ -72,8 +72,8 @@ class RunGroup(Strict):
 class Trend(Strict):
     """Soaks in the order of time, and their groups in the order of the groups' first soaks."""
 
-    runs: tuple[RunRow, ...]
-    groups: tuple[RunGroup, ...]
+    runs: Many[RunRow]
+    groups: Many[RunGroup]
 
     @property
     def last(self) -> RunGroup:

@@ -327,7 +327,7 @@ BAD_POLICIES = [
     ),
     (
         golden_edit(lambda d: d["action"][15].__setitem__(0, -4e38)),
-        f"{GOLDEN_KEY}: action: found 4e+38, expected numbers of single precision",
+        f"{GOLDEN_KEY}: action.15.0: found -4e+38, expected at most 3.40282e+38 either way: single precision",
     ),
     (
         golden_edit(lambda d: d["action"][15].__setitem__(0, 1e3)),

@@ -337,6 +337,25 @@ def test_packaged_schema_equals_the_report_schema():
     assert SCHEMA.read_text(encoding="utf-8") == schema(), "run: python -m eval.report.schema.json_schema"
 
 
+def lists_in(core):
+    """Yield the lists of any length in a schema of pydantic's core."""
+    if isinstance(core, dict):
+        if core.get("type") == "tuple" and core.get("variadic_item_index") is not None:
+            yield core
+        for part in core.values():
+            yield from lists_in(part)
+    elif isinstance(core, list):
+        for part in core:
+            yield from lists_in(part)
+
+
+def test_a_wrong_report_is_read_up_to_the_first_wrong_item_of_each_list():
+    """Reports may be large, and each wrong item takes memory."""
+    found = [*lists_in(Report.__pydantic_core_schema__)]
+    assert len(found) > 20
+    assert all(each.get("fail_fast") for each in found)
+
+
 def test_the_schema_explains_every_record():
     found = json.loads(schema())
     assert found["properties"].keys() == Report.model_fields.keys()

@@ -17,8 +17,9 @@ pytest.importorskip("mujoco")
 from robots.errors import RobotError
 from robots.models import sandbox
 from robots.models.files import referenced_files
-from robots.models.mujoco_model import BODIES_MAX, ITERATIONS, SIZE_MIB, USER_NUMBERS_MAX, open_model
+from robots.models.mujoco_model import ITERATIONS, SIZE_MIB, USER_NUMBERS_MAX, open_model
 from robots.models.sandbox import MEMORY_GIB, check_compiles
+from robots.robot_file import BODIES_MAX
 
 BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
 
@@ -96,7 +97,7 @@ def test_a_child_whose_exit_code_is_lost_must_say_that_it_passed(tmp_path):
     try:
         check_compiles(written(tmp_path), tmp_path)
         with pytest.raises(
-            RobotError, match=r"model\.xml: MuJoCo cannot compile it within .*found 1002 bodies"
+            RobotError, match=r"model\.xml: MuJoCo cannot compile it within .*found 1001 bodies"
         ):
             check_compiles(written(tmp_path, f"<worldbody>{'<body/>' * BODIES_MAX}</worldbody>"), tmp_path)
     finally:
@@ -105,7 +106,7 @@ def test_a_child_whose_exit_code_is_lost_must_say_that_it_passed(tmp_path):
 
 def test_too_many_bodies_are_refused(tmp_path):
     path = written(tmp_path, f"<worldbody>{'<body/>' * BODIES_MAX}</worldbody>")
-    with pytest.raises(RobotError, match=r"m.*xml: found 1002 bodies, expected at most 1000$"):
+    with pytest.raises(RobotError, match=r"m.*xml: found 1001 bodies, expected at most 1000$"):
         check_compiles(path, tmp_path)
 
 
