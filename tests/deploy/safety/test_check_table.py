@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from deploy.safety.check_table import _compare, find_reasons
+from deploy.safety.check import Limits
+from deploy.safety.check_table import CheckTable, _compare, find_reasons
+from deploy.safety.checks import MOTION
+from support.arm6 import SPEC
 
 LOW, HIGH = np.array([-1.0, -np.inf, 0.0]), np.array([1.0, 0.5, np.inf])
 REASON, NOT_FINITE = np.array([1, 2, 4]), np.array([8, 16, 32])
@@ -21,3 +24,12 @@ def test_every_value_outside_of_its_bounds_adds_its_reason(compare):
     assert 0 < within.sum() < len(values)
     assert not compare(values[within], LOW, HIGH, REASON, NOT_FINITE, found[: within.sum()])
     assert not found[: within.sum()].any()
+
+
+def test_values_are_as_many_as_bounds():
+    table = CheckTable(1, Limits(SPEC, np.ones(SPEC.n)), MOTION)
+    most = len(MOTION) * SPEC.n
+    with pytest.raises(
+        ValueError, match=rf"^safety checks: found values of shape \(1, 7\), expected {most} in a row$"
+    ):
+        table.reasons(np.zeros((1, 7)))
