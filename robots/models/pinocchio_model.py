@@ -32,14 +32,14 @@ def read_pinocchio(spec: RobotSpec) -> Read:
     """
     path = spec.model_path
     referenced_files(path, spec.folder)
-    _check_joints(path)
+    _check_counts(path)
     try:
         model, geometry = _read_urdf(spec) if is_urdf(path) else _read_mjcf(spec)
     except (ValueError, RuntimeError, LookupError) as e:  # LookupError: a class that it does not know
         raise RobotError(f"{path}: Pinocchio cannot read it: {e!s:.300}") from e
     if spec.locked:
         model, geometry = _lock(spec, model, geometry)
-    bodies = [frame.name for frame in model.frames if frame.type == BODY]
+    bodies = _bodies(model)
     for body in {body for pair in spec.neighbours for body in pair}:
         spec.check_known("neighbours", body, "a body", bodies)
     for body in {body for pair in spec.may_touch for body in pair.bodies} - {GOAL, WORLD}:
@@ -50,7 +50,11 @@ def read_pinocchio(spec: RobotSpec) -> Read:
     return _from_base(spec, model, geometry)
 
 
-def _check_joints(path: Path) -> None:
+def _bodies(model: pin.Model) -> list[str]:
+    return [frame.name for frame in model.frames if frame.type == BODY]
+
+
+def _check_counts(path: Path) -> None:
     """Refuse (RobotError) too many bodies, or joints, locked ones included: Pinocchio takes memory as it reads."""
     root, urdf = read_xml(path), is_urdf(path)
     bodies, joints = (
@@ -190,7 +194,7 @@ def _capsules(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) ->
     for shape in geometry.geometryObjects:
         if shape.parentFrame == 0:
             shapes.addGeometryObject(shape)
-    bodies = [frame.name for frame in model.frames if frame.type == BODY]
+    bodies = _bodies(model)
     for number, capsule in enumerate(spec.capsules):
         spec.check_known(f"capsules.{number}.body", capsule.body, "a body", bodies)
         frame = int(model.getFrameId(capsule.body, BODY))
