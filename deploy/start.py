@@ -111,7 +111,7 @@ def start(module: str) -> None:
     _check_working_directory()
     _set_environment()
     _reset_warnings()
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, exit codes of children are lost
+    _reset_signals()
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):
@@ -192,6 +192,12 @@ def _reset_warnings() -> None:
     warnings.resetwarnings()
     for category in FOR_DEVELOPERS:
         warnings.simplefilter("ignore", category)
+
+
+def _reset_signals() -> None:
+    """Undo what a parent process may have left: blocked signals stop nothing, ignored children leave no exit code."""
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
 
 
 def _check_memory() -> None:

@@ -4,8 +4,10 @@ import json
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from datetime import date, time
 from itertools import islice
 from pathlib import Path
+from reprlib import Repr
 from typing import Annotated, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -169,6 +171,23 @@ def _tuples(data: object) -> object:
     return tuple(_tuples(item) for item in data) if isinstance(data, list) else data
 
 
+class _Short(Repr):
+    """Text of a wrong value, which may be anything: of numbers, text and the beginnings of lists; others by type."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxlist, self.maxtuple = 3, 12, 12
+        self.maxstring = self.maxlong = 120
+
+    def repr_instance(self, x: object, level: int) -> str:
+        """Return numbers as they are, and other values by their type: their own text may have any length."""
+        plain = x is None or isinstance(x, bool | float | date | time)
+        return repr(x) if plain else f"a {type(x).__name__}"
+
+
+_SHORT = _Short()
+
+
 def _messages(invalid: ValidationError) -> Iterator[str]:
     """Yield each error as `field: expectation, found value`."""
     errors = invalid.errors(include_url=False)
@@ -178,7 +197,7 @@ def _messages(invalid: ValidationError) -> Iterator[str]:
             continue  # pydantic counts only the items that are right
         field = ".".join(f"{part!s:.80}" for part in item["loc"]) or "(whole file)"
         found, message = item["input"], item["msg"].removeprefix("Value error, ")
-        shown = "" if isinstance(found, dict) else f", found {found!r:.80}"
+        shown = "" if isinstance(found, dict) else f", found {_SHORT.repr(found):.80}"
         # The error of a validator of the whole record names its own field.
         own = not item["loc"] and item["type"] == "value_error"
         yield str(item["ctx"]["error"]) if own else f"{field}: {message}{shown}"

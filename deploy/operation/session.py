@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from deploy.backends.backend import Backend, Request
-from deploy.operation.interrupts import Interrupts
+from deploy.operation.interrupts import Interrupts, not_dropped
 from deploy.operation.loop_timing import Clock, LoopTiming, RateLimited, Unpaced, WallClock
 from deploy.operation.options import SEED, random_source, speed_factor
 from deploy.operation.robot_run import RobotRun, Watcher
@@ -200,7 +200,8 @@ class Session:
 
 def _backend(name: str, simulation: dict[str, bool]) -> Backend[Any]:
     """Return the backend of that name; refuse given options of the `simulation` for any other."""
-    backend: Backend[Any] = load(BACKENDS, name, f"--backend {name}")()
+    with not_dropped():  # a library that is imported makes an ImportError of an interrupt
+        backend: Backend[Any] = load(BACKENDS, name, f"--backend {name}")()
     given = [option for option, is_given in simulation.items() if is_given]
     if given and not backend.abilities.simulated:
         raise ConfigError(f"--backend {name}: found {given[0]}, which only simulated robots have")

@@ -27,8 +27,8 @@ POLICY, DRAWS, ROBOT = "policy.onnx", "draws.json", "robot"
 TABLES = ("robot.toml", "draws.toml", "limits.toml")
 FILES = (STATE, WINDOW, MCAP, POLICY, DRAWS, *(f"{ROBOT}/{name}" for name in TABLES))
 """Files of every bundle; the robot's model and its meshes are added."""
-FILE_BYTES_MAX = 64 << 20
-"""Upper bound of each file of a bundle."""
+FILE_BYTES_MAX, BYTES_MAX = 64 << 20, 1 << 29
+"""Upper bounds of each file of a bundle, and of all together."""
 INFO_CHARACTERS_MAX = 1 << 16
 
 Count = Annotated[int, Field(ge=0, le=1 << 53)]
@@ -168,13 +168,16 @@ def open_bundle(folder: Path) -> BundleInfo:
 
 
 def _check_names(path: Path, info: BundleInfo) -> None:
-    """All required files are listed, and others only below the robot's folder."""
+    """All required files are listed, others only below the robot's folder, each by one name, and not too large."""
     for name in sorted({*FILES} - {*info.files}):
         raise ConfigError(f"{path}: files: {name}: missing")
     for name in sorted({*info.files} - {*FILES}):
         parts = PurePosixPath(name).parts
-        if parts[:1] != (ROBOT,) or ".." in parts:
+        if parts[:1] != (ROBOT,) or ".." in parts or PurePosixPath(name).as_posix() != name:
             raise ConfigError(f"{path}: files: {name}: unknown")
+    places = [path.parent / name for name in info.files]  # several may be links to one file
+    if (size := sum(os.path.getsize(place) for place in places if os.path.isfile(place))) > BYTES_MAX:
+        raise ConfigError(f"{path}: files: found {size} bytes, expected at most {BYTES_MAX}")
 
 
 def _check_digest(path: Path, field: str, found: str, expected: str) -> None:

@@ -72,26 +72,26 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
     example = torch.zeros(2, len(checkpoint.actor.mean))  # batch 1 would be taken for a constant
     batch: dict[str, object] = {"observation": {0: torch.export.Dim("batch")}}
     model = to_onnx(checkpoint.actor, (example,), [INPUT], [OUTPUT], batch)
-    contract, golden = _contract(checkpoint), _golden(checkpoint)
+    contract, golden = _contract(checkpoint, checkpoint_path), _golden(checkpoint, checkpoint_path)
     compare = partial(_compare, checkpoint=checkpoint, source=checkpoint_path)
     digest, deviation = write_policy(out_path, model, contract, golden, spec, compare)
     size, count = out_path.stat().st_size, len(checkpoint.rollout)
     return Exported(path=out_path, file_bytes=size, digest=digest, observations=count, deviation=deviation)
 
 
-def _contract(checkpoint: Checkpoint) -> Contract:
+def _contract(checkpoint: Checkpoint, source: Path) -> Contract:
     """Return the contract with the normalizer's statistics of training."""
     actor = checkpoint.actor
     observed = {"mean": tuple(actor.mean.tolist()), "deviation": tuple(actor.divisor.tolist())}
     data = checkpoint.contract.model_dump() | {"observed": observed}
-    return parse(data, Contract, source="contract", error=ContractError)
+    return parse(data, Contract, source=f"{source}: contract", error=ContractError)
 
 
-def _golden(checkpoint: Checkpoint) -> Golden:
+def _golden(checkpoint: Checkpoint, source: Path) -> Golden:
     rows = np.linspace(0, len(checkpoint.rollout) - 1, GOLDEN_PAIRS).round().astype(int)
     observation = checkpoint.rollout[torch.from_numpy(rows)]
     pairs = {"observation": observation.tolist(), "action": checkpoint.actor(observation).tolist()}
-    return parse(pairs, Golden, source="golden pairs")
+    return parse(pairs, Golden, source=f"{source}: golden pairs", error=ContractError)
 
 
 def _compare(policy: Policy, checkpoint: Checkpoint, source: Path) -> tuple[float, ...]:

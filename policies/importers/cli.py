@@ -83,20 +83,23 @@ def import_policy(
     check_no_input(out_path, (path, draft_path, *reference.files, *robot_paths))
     check_file(out_path)
     built = build_contract(draft, reference, spec, str(draft_path))
-    runs, golden = record_reference(reference, built.columns, built.joints), _golden(reference, built)
+    runs, golden = (
+        record_reference(reference, built.columns, built.joints),
+        _golden(reference, built, str(path)),
+    )
     model = to_standard_graph(reference, built.columns.tolist(), built.joints.tolist())
     compare = partial(check_parity, runs=runs, source=str(path))
     digest, deviation = write_policy(out_path, model, built.contract, golden, spec, compare)
     return ImportResult(facts=reference.facts, digest=digest, deviation=deviation)
 
 
-def _golden(reference: ReferencePolicy, built: BuiltContract) -> Golden:
+def _golden(reference: ReferencePolicy, built: BuiltContract, source: str) -> Golden:
     """Return golden pairs: one sequence of the reference from its initial state."""
     inputs = reference.sample_observations(np.random.default_rng(1), (GOLDEN_STEPS,))
     observation = reference.reorder_observations(inputs, built.columns)
     action = reference.run(inputs, np.arange(GOLDEN_STEPS) == 0)[:, built.joints]
     pairs = {"observation": observation.tolist(), "action": action.tolist()}
-    return parse(pairs, Golden, source="golden pairs", error=ContractError)
+    return parse(pairs, Golden, source=f"{source}: golden pairs", error=ContractError)
 
 
 def write_template(

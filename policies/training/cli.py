@@ -25,7 +25,7 @@ from policies.training.networks import Actor
 from policies.training.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
 from policies.training.watchers import Film, JointSpeeds, Window
 from robots.bounded_text import read_text
-from robots.errors import OutputError, ResultLostError, printable
+from robots.errors import ConfigError, OutputError, ResultLostError, printable
 from robots.spec import RobotSpec, load_robot
 from robots.strict import TOML_CHARACTERS_MAX
 
@@ -141,11 +141,25 @@ def _learn(
         with _work_at_stake(out):
             try:
                 runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
+            except (RuntimeError, ValueError) as e:  # of torch, which draws actions around no number
+                if not (diverged := _diverged(runner)):
+                    raise
+                raise ConfigError(diverged) from e
             finally:
                 if writer := runner.logger.writer:
                     writer.close()  # else its thread writes the last events later, or not at all
+        if diverged := _diverged(runner):
+            raise ConfigError(diverged)
         runner.current_learning_iteration += 1
     return env, runner.get_inference_policy()
+
+
+def _diverged(runner: OnPolicyRunner) -> str:
+    """Return a complaint if weights of the policy are no finite numbers, else nothing."""
+    if all(bool(weights.isfinite().all()) for weights in runner.alg.actor.parameters()):
+        return ""
+    iteration = runner.current_learning_iteration
+    return f"learner: weights of the policy are not finite after iteration {iteration}: try a lower learning_rate"
 
 
 def _set_learning_rate(runner: OnPolicyRunner, rate: float) -> None:

@@ -175,6 +175,27 @@ def test_a_huge_value_does_not_flood_the_message(tmp_path):
     assert len(str(caught.value)) < 500
 
 
+class Endless:
+    """A value of which no text can be made, such as a tensor of 2^40 elements."""
+
+    def __repr__(self):
+        raise AssertionError
+
+
+def test_a_wrong_value_is_not_written_out_to_be_shortened():
+    long = ["x" * 10_000_000] * 100_000  # a terabyte of text in one of memory
+    for value, shown in (
+        (Endless(), "a Endless"),
+        (long, "('xxxx"),
+        ([[[[[1]]]]] * 10**6, "((("),
+        (None, "None"),
+    ):
+        with pytest.raises(ConfigError, match="eyes: Input should be") as caught:
+            parse({"legs": [], "eyes": value}, Animal, source="here")
+        assert f", found {shown}" in str(caught.value)
+        assert len(str(caught.value)) < 200
+
+
 def test_missing_file_and_folder_in_its_place(tmp_path):
     for path in (tmp_path / "none.toml", tmp_path):
         with pytest.raises(RobotError, match="cannot be read"):

@@ -178,7 +178,9 @@ def test_the_robot_s_model_and_its_meshes_are_in_a_bundle(tmp_path):
         bundle.open_bundle(tmp_path / "x")
 
 
-@pytest.mark.parametrize("name", ["notes.txt", "robot/../../x", "/robot/x", "robots/x"])
+@pytest.mark.parametrize(
+    "name", ["notes.txt", "robot/../../x", "/robot/x", "robots/x", "robot//model.xml", "robot/./x"]
+)
 def test_bundle_reads_nothing_outside_its_folder(tmp_path, name):
     folder = filled(tmp_path / "x")
     listed = bundle.open_bundle(folder)
@@ -186,6 +188,22 @@ def test_bundle_reads_nothing_outside_its_folder(tmp_path, name):
     sealed = listed.model_copy(update={"digest": listed.sealed()})
     (folder / "bundle.json").write_text(sealed.model_dump_json())
     with pytest.raises(ConfigError, match=rf"bundle\.json: files: {name}: unknown"):
+        bundle.open_bundle(folder)
+
+
+def test_a_bundle_of_many_links_to_one_file_is_not_read(tmp_path, monkeypatch):
+    folder = filled(tmp_path / "x")
+    monkeypatch.setattr(bundle, "BYTES_MAX", sum(path.stat().st_size for path in folder.rglob("*")) + 1000)
+    bundle.open_bundle(folder)
+    (folder / "robot" / "mesh.stl").write_bytes(bytes(600))
+    names = [f"robot/{number}.stl" for number in range(20)]
+    for name in names:
+        os.link(folder / "robot" / "mesh.stl", folder / name)
+    listed = bundle.open_bundle(folder)
+    listed = listed.model_copy(update={"files": listed.files | dict.fromkeys(names, "0" * 64)})
+    sealed = listed.model_copy(update={"digest": listed.sealed()})
+    (folder / "bundle.json").write_text(sealed.model_dump_json())
+    with pytest.raises(ConfigError, match=r"bundle\.json: files: found \d+ bytes, expected at most \d+$"):
         bundle.open_bundle(folder)
 
 

@@ -7,13 +7,16 @@ import resource
 import shutil
 import threading
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
+import torch
 
 pytest.importorskip("torch")
 pytest.importorskip("av")
 
 from policies.training.checkpoint import save_checkpoint
+from policies.training.cli import _diverged
 from policies.training.cli import cli as policy_train
 from policies.training.envs import RuntimeEnv
 from policies.training.recipe import find_recipe
@@ -88,4 +91,16 @@ def test_a_folder_that_is_deleted_meanwhile_is_one_line(train, tmp_path, monkeyp
     assert code == 1
     assert re.fullmatch(
         rf"error: not kept: --out {out}/\S+: cannot be written: No such file or directory\n", complaint
+    )
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_weights_that_are_no_numbers_are_named(bad):
+    actor = torch.nn.Linear(2, 2)
+    runner = SimpleNamespace(alg=SimpleNamespace(actor=actor), current_learning_iteration=7)
+    assert not _diverged(runner)
+    with torch.no_grad():
+        actor.weight[1, 0] = bad
+    assert _diverged(runner).startswith(
+        "learner: weights of the policy are not finite after iteration 7: try a"
     )

@@ -82,7 +82,7 @@ ARM = tomllib.loads((RECIPES / "arm.toml").read_text())
         ("environment", "goals_per_episode", 10**18),
         ("learner", "num_steps_per_env", 10**15),
         ("learner", "num_mini_batches", 10**6),
-        ("learner", "num_mini_batches", 256 * 24 + 1),
+        ("learner", "num_mini_batches", 256 * 24 // 2 + 1),
         ("learner", "init_std", 1e308),
         ("learner", "max_grad_norm", 1e7),
         ("learner", "entropy_coef", 1e7),
