@@ -201,6 +201,10 @@ BAD = {
     ),
     "contract broken": (put("contract", value="{"), "contract: not valid JSON"),
     "seed as text": (put("seed", value="3"), "seed: Input should be a valid integer, found '3'"),
+    "seed without end": (
+        put("seed", value=torch.zeros(1).as_strided((2,) * 40, (0,) * 40)),
+        "seed: Input should be a valid integer, found a Tensor",
+    ),
 }
 
 

@@ -305,15 +305,10 @@ def test_code_is_found_in_pickles_of_any_age(tmp_path, files, protocol):
 def test_tensors_beyond_their_storage_are_refused(tmp_path, files):
     found = members(files["state_dict"])
     (tmp_path / "x.pt").write_bytes(zipped(found | {"weights/data/0": found["weights/data/0"][:8]}))
-    assert refused(tmp_path / "x.pt") == "data.pkl: corrupt: a OverflowError"
+    assert refused(tmp_path / "x.pt") == "data.pkl: corrupt: a RuntimeError"
     huge = {"0.weight": torch.zeros(1).expand(4096, 4096), "0.bias": torch.zeros(1).expand(4096)}
     torch.save(huge, tmp_path / "x.pt")
-    assert refused(tmp_path / "x.pt") == "data.pkl: corrupt: a OverflowError"
-
-
-def test_tensors_in_another_order_are_refused(tmp_path):
-    torch.save({"0.weight": torch.zeros(3, 4).t(), "0.bias": torch.zeros(4)}, tmp_path / "x.pt")
-    assert "expected torch.float32 (4, 3) contiguous" in refused(tmp_path / "x.pt")
+    assert "expected torch.float32 (4096, 4096) contiguous" in refused(tmp_path / "x.pt")
 
 
 # ---- ONNX ----
