@@ -2,11 +2,12 @@
 
 import signal
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing.resource_tracker import ensure_running
-from threading import Timer, main_thread
-from types import FrameType
+from threading import Timer, get_ident
+from types import CodeType, FrameType
 from typing import Any
 
 UNSTOPPABLE = ("SIGKILL", "SIGSTOP")
@@ -119,17 +120,21 @@ def interrupt(_number: int, _frame: FrameType | None) -> None:
 @contextmanager
 def raised_again() -> Iterator[None]:
     """Raise each KeyboardInterrupt that Python drops, as in a destructor, once more, until the block ends."""
-    former, timers = sys.unraisablehook, list[Timer]()
+    former, timers, main = sys.unraisablehook, list[Timer](), get_ident()
 
     def hook(dropped: "sys.UnraisableHookArgs") -> None:
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
             former(dropped)
             return
         number = signal.SIGINT if callable(signal.getsignal(signal.SIGINT)) else signal.SIGTERM
-        # Not from here: what this hook raises is dropped, too.
-        timers.append(Timer(AGAIN_S, signal.pthread_kill, (main_thread().ident, number)))
+        timers.append(Timer(AGAIN_S, again, (number,)))
         timers[-1].daemon = True
         timers[-1].start()
+
+    def again(number: int) -> None:
+        while _is_in(hook.__code__, main):  # what the hook raises is dropped, too
+            time.sleep(AGAIN_S)
+        signal.pthread_kill(main, number)
 
     sys.unraisablehook = hook
     try:
@@ -138,6 +143,14 @@ def raised_again() -> Iterator[None]:
         sys.unraisablehook = former
         for timer in timers:
             timer.cancel()
+
+
+def _is_in(code: CodeType, thread: int) -> bool:
+    """Return whether a thread is in a function of that code, or in what it has called."""
+    frame = sys._current_frames().get(thread)
+    while frame is not None and frame.f_code is not code:
+        frame = frame.f_back
+    return frame is not None
 
 
 class Interrupts:

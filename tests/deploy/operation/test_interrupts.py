@@ -11,6 +11,7 @@ from threading import Thread
 
 import pytest
 
+import deploy.operation.interrupts as interrupts_module
 from deploy.operation.interrupts import Interrupts, handled, held_back, interrupt, not_dropped, raised_again
 
 REQUESTS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -112,6 +113,20 @@ def die_and_wait(number):
     Interrupted(number)
     time.sleep(60)
     pytest.fail("not interrupted")
+
+
+def test_an_interrupt_is_not_raised_where_it_would_be_dropped_once_more(monkeypatch):
+    """The machine may be so slow that the time has passed before Python has done with the first one."""
+    monkeypatch.setattr(interrupts_module, "AGAIN_S", 0.0)
+    started = interrupts_module.Timer.start
+
+    def slow(timer):
+        started(timer)
+        timer.join(0.2)  # in the hook
+
+    monkeypatch.setattr(interrupts_module.Timer, "start", slow)
+    with pytest.raises(KeyboardInterrupt), handled(interrupt), raised_again():
+        die_and_wait(signal.SIGTERM)
 
 
 @REQUESTS
