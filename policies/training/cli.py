@@ -142,24 +142,21 @@ def _learn(
             try:
                 runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
             except (RuntimeError, ValueError) as e:  # of torch, which draws actions around no number
-                if not (diverged := _diverged(runner)):
-                    raise
-                raise ConfigError(diverged) from e
+                _check_finite(runner, e)
+                raise
             finally:
                 if writer := runner.logger.writer:
                     writer.close()  # else its thread writes the last events later, or not at all
-        if diverged := _diverged(runner):
-            raise ConfigError(diverged)
+        _check_finite(runner)
         runner.current_learning_iteration += 1
     return env, runner.get_inference_policy()
 
 
-def _diverged(runner: OnPolicyRunner) -> str:
-    """Return a complaint if weights of the policy are no finite numbers, else nothing."""
-    if all(bool(weights.isfinite().all()) for weights in runner.alg.actor.parameters()):
-        return ""
-    iteration = runner.current_learning_iteration
-    return f"learner: weights of the policy are not finite after iteration {iteration}: try a lower learning_rate"
+def _check_finite(runner: OnPolicyRunner, cause: Exception | None = None) -> None:
+    """Refuse (ConfigError) weights of the policy that are no finite numbers, the `cause` of an error or not yet."""
+    if not all(bool(weights.isfinite().all()) for weights in runner.alg.actor.parameters()):
+        after = f"after iteration {runner.current_learning_iteration}: try a lower learning_rate"
+        raise ConfigError(f"learner: weights of the policy are not finite {after}") from cause
 
 
 def _set_learning_rate(runner: OnPolicyRunner, rate: float) -> None:

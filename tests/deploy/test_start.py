@@ -228,44 +228,35 @@ def test_a_request_that_is_ignored_stays_ignored(written, tmp_path, command):
     assert (ended.returncode, ended.stderr, place.read_text()) == (0, b"", "a part")
 
 
-def test_signals_that_a_parent_blocked_are_delivered(written, tmp_path):
-    """A supervisor that waits for signals may have blocked them, and children inherit that."""
-    written(
-        "masked_command", "import signal\ndef cli():\n    print(signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
-    )
-    written(
-        "blocking",
-        "import signal\nsignal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})\n",
-    )
-    code = (
-        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import blocking; from deploy.start import start"
-    )
+BLOCKED = "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})"
+IGNORED = "signal.signal(signal.SIGCHLD, signal.SIG_IGN)"
+
+
+@pytest.mark.parametrize(
+    ("left", "asked", "answer"),
+    [
+        (BLOCKED, "signal.pthread_sigmask(signal.SIG_BLOCK, ())", b"set()\n"),
+        (IGNORED, "subprocess.run(['false']).returncode", b"1\n"),
+    ],
+    ids=["blocked signals", "ignored children"],
+)
+def test_what_a_parent_did_to_signals_is_undone(written, tmp_path, left, asked, answer):
+    """Else nothing would stop a command, and the system would keep no exit code of its children."""
+    written("heir_command", f"import signal, subprocess\ndef cli():\n    print({asked})")
+    written("parent", f"import signal\n{left}\n")
+    path = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
     ended = subprocess.run(
-        [sys.executable, "-c", f"{code}; start('masked_command')"],
+        [
+            sys.executable,
+            "-c",
+            f"{path}; import parent; from deploy.start import start; start('heir_command')",
+        ],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
         timeout=60,
         check=True,
     )
-    assert ended.stdout == b"set()\n"
-
-
-def test_exit_codes_of_children_are_known(written, tmp_path):
-    """Whoever starts the command may ignore that children end: the system then keeps no exit code."""
-    command = "import subprocess, sys\ndef cli():\n    print(subprocess.run(['false']).returncode)"
-    written("parent_command", command)
-    written("ignoring", "import signal\nsignal.signal(signal.SIGCHLD, signal.SIG_IGN)\n")
-    code = (
-        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import ignoring; from deploy.start import start"
-    )
-    ended = subprocess.run(
-        [sys.executable, "-c", f"{code}; start('parent_command')"],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        timeout=60,
-        check=True,
-    )
-    assert ended.stdout == b"1\n"
+    assert ended.stdout == answer
 
 
 @pytest.mark.parametrize(

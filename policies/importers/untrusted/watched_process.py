@@ -36,7 +36,6 @@ def run_watched(command: Callable[[], None], wall_s: float = WALL_S) -> None:
 
 
 def _run(command: Callable[[], None], wall_s: float) -> None:
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, exit codes are lost
     requests = {signal.SIGINT, *REQUESTS}
     signal.pthread_sigmask(signal.SIG_BLOCK, requests)  # until each process has its handlers
     lifeline = Lifeline()

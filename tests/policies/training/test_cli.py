@@ -10,16 +10,16 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
-import torch
 
-pytest.importorskip("torch")
+torch = pytest.importorskip("torch")
 pytest.importorskip("av")
 
 from policies.training.checkpoint import save_checkpoint
-from policies.training.cli import _diverged
+from policies.training.cli import _check_finite
 from policies.training.cli import cli as policy_train
 from policies.training.envs import RuntimeEnv
 from policies.training.recipe import find_recipe
+from robots.errors import ConfigError
 
 pytestmark = pytest.mark.slow
 
@@ -98,9 +98,10 @@ def test_a_folder_that_is_deleted_meanwhile_is_one_line(train, tmp_path, monkeyp
 def test_weights_that_are_no_numbers_are_named(bad):
     actor = torch.nn.Linear(2, 2)
     runner = SimpleNamespace(alg=SimpleNamespace(actor=actor), current_learning_iteration=7)
-    assert not _diverged(runner)
+    _check_finite(runner)
     with torch.no_grad():
         actor.weight[1, 0] = bad
-    assert _diverged(runner).startswith(
-        "learner: weights of the policy are not finite after iteration 7: try a"
-    )
+    with pytest.raises(
+        ConfigError, match=r"^learner: weights of the policy are not finite after iteration 7"
+    ):
+        _check_finite(runner)

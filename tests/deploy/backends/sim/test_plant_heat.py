@@ -5,27 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robots.motors.motor import MotorHeat, temperatures
+from robots.motors.motor import temperatures
 from robots.spec import load_robot
 from support.arm6 import copy_of_arm
 from support.deploy.plants import HOME, N, command, exact
+from support.robots.motors import RE40
 
 pytest.importorskip("mujoco")
 
 
-# An RE40-like motor on the last joint: facts as in test_motor; 48 V, gear 101.
-RE40 = MotorHeat(
-    resistance=1.16,
-    alpha=0.0039,
-    reference_c=25.0,
-    winding_to_housing=1.93,
-    housing_to_ambient=4.65,
-    winding_capacity=41.6 / 1.93,
-    housing_capacity=1120.0 / 4.65,
-)
-
-
 def re40_arm(tmp_path, hz):
+    """The arm with an RE40-like motor on its last joint: facts as in test_motor; 48 V, gear 101."""
     folder = copy_of_arm(
         tmp_path,
         toml=[
